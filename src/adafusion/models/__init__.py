@@ -1,0 +1,20 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""Networks that describe a place, their files, and the gate from tensors back to arrays."""
+
+from adafusion.models.adafusion import AdaFusion, ModelConfig
+from adafusion.models.describe import describe, use_channels_last
+from adafusion.models.released import import_released
+from adafusion.models.store import SHIPPED, load_model, read_header, save_model
+
+__all__ = [
+    "SHIPPED",
+    "AdaFusion",
+    "ModelConfig",
+    "describe",
+    "import_released",
+    "load_model",
+    "read_header",
+    "save_model",
+    "use_channels_last",
+]

@@ -1,0 +1,137 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""The two feature branches (paper Fig. 4): 2-D over the image, 3-D over the voxel grid.
+
+Both are the same class; what differs between pixels and voxels (the layers, the pools, the widths)
+comes in as an argument, so a fix can never reach only one of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+Conv = nn.Conv2d | nn.Conv3d
+
+
+class Backbone(nn.Module):
+    """Three blocks of convolutions; the mean over the last one's cells is the feature.
+
+    Returns the feature (B, C) and the three stages, shallow to deep, that the weight branch reads.
+    The feature is signed and not normalised: batch norm is the last thing before the last pool.
+    """
+
+    def __init__(self, blocks: Sequence[nn.Sequential]) -> None:
+        super().__init__()
+        self.blocks = nn.ModuleList(blocks)
+
+    @property
+    def stage_channels(self) -> tuple[int, ...]:
+        """Channels of each stage, shallow to deep."""
+        return tuple(
+            [m.out_channels for m in block.modules() if isinstance(m, Conv)][-1]
+            for block in self.blocks
+        )
+
+    def forward(
+        self, x: Float[Tensor, "b c *cells"]
+    ) -> tuple[Float[Tensor, "b out"], list[Tensor]]:
+        """Give the pooled feature and the stages."""
+        stages = []
+        for block in self.blocks:
+            x = block(x)
+            stages.append(x)
+        return x.flatten(2).mean(dim=2), stages
+
+
+def image_backbone(half: int = 128, width: float = 1.0) -> Backbone:
+    """Branch over (B, 3, H, W): stages of /4, /8 and /16 of the image's size.
+
+    `half` is the length of the feature and `width` scales every other layer (1.0: the paper's).
+    """
+    c1, c2 = _scaled(64, width), _scaled(128, width)
+    pool = lambda: nn.MaxPool2d(2)  # noqa: E731
+    return Backbone(
+        [
+            nn.Sequential(
+                *_convs(nn.Conv2d, 3, c1, c1), pool(), *_convs(nn.Conv2d, c1, c1, c1), pool()
+            ),
+            nn.Sequential(*_convs(nn.Conv2d, c1, c1, c1, c2, c2), pool()),
+            nn.Sequential(
+                *_convs(nn.Conv2d, c2, c2, c2, half, half), nn.BatchNorm2d(half), pool()
+            ),
+        ]
+    )
+
+
+def voxel_backbone(half: int = 128, width: float = 1.0) -> Backbone:
+    """Branch over (B, 1, X, Y, Z): stages of 1/2, 1/4 and 1/8 of the grid's size."""
+    c1, c2 = _scaled(32, width), _scaled(64, width)
+    pool = lambda: nn.AvgPool3d(2)  # noqa: E731
+    return Backbone(
+        [
+            nn.Sequential(*_convs(nn.Conv3d, 1, c1, c1), pool()),
+            nn.Sequential(*_convs(nn.Conv3d, c1, c2, c2, c2, c2), pool()),
+            nn.Sequential(*_convs(nn.Conv3d, c2, half, half), nn.BatchNorm3d(half), pool()),
+        ]
+    )
+
+
+def _convs(conv: type[Conv], *channels: int) -> list[nn.Module]:
+    """Convolutions of kernel 3, stride 1, padding 1 through `channels`, each with a ReLU."""
+    return [
+        layer
+        for c_in, c_out in zip(channels[:-1], channels[1:], strict=True)
+        for layer in (conv(c_in, c_out, kernel_size=3, padding=1), nn.ReLU(inplace=True))
+    ]
+
+
+def _scaled(channels: int, width: float) -> int:
+    return max(1, round(channels * width))
+
+
+def initialise_he(module: nn.Module, generator: torch.Generator) -> None:
+    """Draw every convolution's weights so that the signal keeps its size through the ReLUs.
+
+    The framework's default shrinks it by a factor of about 2.4 a layer; ten layers deep the image
+    says nothing above the rounding of the biases, and the branch does not begin to learn.
+    """
+    for layer in module.modules():
+        if isinstance(layer, Conv):
+            fan_in = layer.weight[0].numel()
+            with torch.no_grad():
+                layer.weight.normal_(0.0, math.sqrt(2.0 / fan_in), generator=generator)
+                if layer.bias is not None:
+                    layer.bias.zero_()
+
+
+def add_norms(backbone: Backbone) -> None:
+    """Put a batch norm between every convolution and its ReLU, for training only.
+
+    `fold_norms` takes them out again without changing what the trained network computes.
+    """
+    for block in backbone.blocks:
+        for name, layer in list(block.named_children()):
+            if isinstance(layer, nn.Conv2d):
+                setattr(block, name, nn.Sequential(layer, nn.BatchNorm2d(layer.out_channels)))
+            elif isinstance(layer, nn.Conv3d):
+                setattr(block, name, nn.Sequential(layer, nn.BatchNorm3d(layer.out_channels)))
+
+
+def fold_norms(backbone: Backbone) -> None:
+    """Fold what `add_norms` added into the convolutions: the paper's network, with its parameters.
+
+    Exact for the network in eval mode; running statistics become weights.
+    """
+    for block in backbone.blocks:
+        for name, layer in list(block.named_children()):
+            if isinstance(layer, nn.Sequential):
+                conv, norm = layer
+                training = conv.training
+                fused = fuse_conv_bn_eval(conv.eval(), norm.eval())
+                setattr(block, name, fused.train(training))
