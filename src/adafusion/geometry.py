@@ -52,12 +52,15 @@ def transform(
     return points_b @ R.T + t
 
 
-def is_rigid(T: Float[np.ndarray, "4 4"], tolerance: float = 1e-3) -> bool:
-    """Whether T is finite, has a proper rotation (within `tolerance`) and a last row of 0 0 0 1."""
-    R = T[:3, :3]
+def is_rigid(T: Float[np.ndarray, "*n 4 4"], tolerance: float = 1e-3) -> bool:
+    """Whether T, or every T of a stack, is a rigid motion.
+
+    Finite, with a proper rotation (within `tolerance`) and a last row of 0 0 0 1.
+    """
+    R = T[..., :3, :3]
     return bool(
         np.isfinite(T).all()
-        and np.allclose(R @ R.T, np.eye(3), atol=tolerance)
-        and np.linalg.det(R) > 0
-        and np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0))
+        and np.allclose(R @ R.swapaxes(-1, -2), np.eye(3), atol=tolerance)
+        and (np.linalg.det(R) > 0).all()
+        and (T[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all()
     )
