@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""Camera images: crop, resize, scale to [-1, 1]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crop:
+    """What to cut off each side, as shares of the raw height or width: the bonnet, the sky.
+
+    Shares and not pixels, so that one setting serves every resolution of the same camera.
+    """
+
+    top: float = 0.0
+    bottom: float = 0.0
+    left: float = 0.0
+    right: float = 0.0
+
+    def __post_init__(self) -> None:
+        for side in ("top", "bottom", "left", "right"):
+            share = (
+                float(getattr(self, side)) + 0.0
+            )  # + 0.0 turns -0.0 into 0.0: equal values, equal text
+            if not 0.0 <= share < 1.0:
+                raise ValueError(f"crop {side} {share} must be a share of the image in [0, 1)")
+            object.__setattr__(self, side, share)
+        if self.top + self.bottom >= 1.0 or self.left + self.right >= 1.0:
+            raise ValueError(f"{self} leaves nothing of the image")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageSettings:
+    """Crop first, then resize to `size` (height, width)."""
+
+    size: tuple[int, int] = (300, 400)
+    crop: Crop = field(default_factory=Crop)
+
+    def __post_init__(self) -> None:
+        height, width = self.size
+        if height < 1 or width < 1:
+            raise ValueError(f"image size {self.size} (height, width) must be positive")
+        object.__setattr__(self, "size", (int(height), int(width)))
+
+
+def resize(
+    image: UInt8[np.ndarray, "h w 3"], settings: ImageSettings
+) -> UInt8[np.ndarray, "h2 w2 3"]:
+    """Crop and resize an RGB image, keeping uint8.
+
+    Shrinking averages over each new pixel's area, as every pixel must count once (the released
+    loader's resize is antialiased, too); plain bilinear sampling would skip most of a large image
+    and alias foliage and brickwork. Enlarging, which has nothing to average, is bilinear.
+    """
+    height, width = image.shape[:2]
+    crop = settings.crop
+    top, bottom = round(height * crop.top), height - round(height * crop.bottom)
+    left, right = round(width * crop.left), width - round(width * crop.right)
+    if top >= bottom or left >= right:
+        raise ValueError(f"{crop} leaves nothing of a {height} x {width} image")
+    image = image[top:bottom, left:right]
+
+    new_height, new_width = settings.size
+    shrunk = min(new_height, bottom - top), min(new_width, right - left)
+    # each axis on its own terms: OpenCV's area filter stops averaging once either axis grows
+    for (h, w), rule in ((shrunk, cv2.INTER_AREA), ((new_height, new_width), cv2.INTER_LINEAR)):
+        if image.shape[:2] != (h, w):
+            image = np.asarray(cv2.resize(image, (w, h), interpolation=rule), dtype=np.uint8)
+    return np.ascontiguousarray(image)
+
+
+def to_unit(images: UInt8[Tensor, "*b h w 3"]) -> Float[Tensor, "*b 3 h w"]:
+    """Bytes to float32, channels first: x / 127.5 - 1, so 0 gives -1 and 255 gives 1 exactly."""
+    channels_first = images.movedim(-1, -3)
+    unit = channels_first.to(torch.float32, memory_format=torch.contiguous_format)
+    return unit.div_(127.5).sub_(1.0)
