@@ -82,9 +82,6 @@ class DatasetInfo:
     regions: dict[str, list[list[float]]] = field(default_factory=dict)  # name -> boxes, see splits
 
     def __post_init__(self) -> None:
-        for name, kind in _INFO_TYPES.items():
-            if not isinstance(getattr(self, name), kind):
-                raise ValueError(f"{name} is no {kind.__name__}: {getattr(self, name)!r}")
         for name, boxes in self.regions.items():
             for box in boxes:
                 if len(box) != 4 or not box[0] < box[2] or not box[1] < box[3]:
@@ -249,13 +246,14 @@ def _read_info(root: Path) -> tuple[DatasetInfo, dict[str, int]]:
     expected = {"schema_version", "runs", *_INFO_TYPES}
     if wrong := expected ^ set(values):
         raise UserError(f"{path} lacks or misspells keys: {', '.join(sorted(map(str, wrong)))}")
-    counts = values["runs"]
-    if not isinstance(counts, dict) or not all(isinstance(n, int) for n in counts.values()):
-        raise UserError(f"{path}: `runs` must map each run to its number of frames")
+    for key, kind in (*_INFO_TYPES.items(), ("runs", dict)):
+        if not isinstance(values[key], kind):
+            raise UserError(f"{path}: {key} is no {kind.__name__}: {values[key]!r}; mend the entry")
+    counts = {str(run): count for run, count in values["runs"].items()}
     try:
         return DatasetInfo(**{key: values[key] for key in _INFO_TYPES}), counts
     except (ValueError, TypeError) as error:
-        raise UserError(f"{path}: {error}; mend the entry, or prepare the dataset again") from error
+        raise UserError(f"{path}: {error}; mend the entry") from error
 
 
 def _read_run(root: Path, run: str, count: int) -> list[Frame]:
