@@ -1,0 +1,270 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""Who is a true match and who is a wrong one, and the order in which training meets them.
+
+True matches are few and listed; wrong matches are nearly all pairs, so they are counted and drawn,
+never stored. An epoch's batches follow from (seed, epoch) alone: to resume inside one, draw it
+again from `epoch_rng(seed, epoch)` and skip the batches already done with `itertools.islice`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import no_type_check
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64, Int, Int32, Int64
+from numba import njit
+from scipy.spatial import cKDTree
+
+from adafusion.types import UserError
+
+DRAWS = 16  # blind draws before an anchor's far frames are listed instead
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """The true matches among n frames, and what it takes to draw wrong ones.
+
+    Frames of different worlds are never true matches and always wrong ones.
+    """
+
+    positions: Float64[np.ndarray, "n 2"]  # metres
+    world: Int64[np.ndarray, " n"]
+    d_pos_m: float
+    d_neg_m: float
+    positive: Int32[np.ndarray, "pairs 2"]  # i < j, at most d_pos_m apart, in lexical order
+    num_negatives: int  # unordered pairs more than d_neg_m apart
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Frames to describe together, and which of their pairs the loss looks at."""
+
+    rows: Int64[np.ndarray, " b"]  # frames
+    pair: Int64[np.ndarray, "m 2"]  # indices into `rows`
+    is_positive: Bool[np.ndarray, " m"]
+
+
+def find_pairs(
+    positions: Float[np.ndarray, "n 2"],
+    world: Int[np.ndarray, " n"],
+    d_pos_m: float = 10.0,
+    d_neg_m: float = 50.0,
+) -> Pairs:
+    """List the pairs of frames within d_pos_m of each other; count those farther than d_neg_m.
+
+    `positions` are planar, in metres; `world` numbers the world (city, site) of each frame.
+    """
+    if not 0 < d_pos_m <= d_neg_m:
+        raise ValueError(f"need 0 < d_pos_m <= d_neg_m, not {d_pos_m} and {d_neg_m}")
+    if not np.isfinite(positions).all():
+        raise ValueError("positions must be finite numbers")
+    positions = np.ascontiguousarray(positions, np.float64)
+    # one tree for all worlds: a third coordinate keeps them out of each other's reach
+    level = np.unique(world, return_inverse=True)[1] * (4.0 * d_neg_m)
+    tree = cKDTree(np.column_stack([positions, level]))
+    positive = tree.query_pairs(d_pos_m, output_type="ndarray").astype(np.int32)
+    positive = positive[np.lexsort((positive[:, 1], positive[:, 0]))]
+    n = len(positions)
+    within_d_neg = (int(tree.count_neighbors(tree, d_neg_m)) - n) // 2
+    return Pairs(
+        positions=positions,
+        world=world.astype(np.int64),
+        d_pos_m=float(d_pos_m),
+        d_neg_m=float(d_neg_m),
+        positive=positive,
+        num_negatives=n * (n - 1) // 2 - within_d_neg,
+    )
+
+
+def sample_negatives(
+    pairs: Pairs, anchors: Int[np.ndarray, " m"], rng: np.random.Generator
+) -> Int64[np.ndarray, " m"]:
+    """Draw for each anchor one frame, uniformly among those farther than d_neg_m from it.
+
+    Raises UserError where an anchor has no such frame.
+    """
+    n = len(pairs.positions)
+    negatives = rng.integers(n, size=len(anchors))
+    for _ in range(DRAWS):
+        again = np.flatnonzero(~_is_far(pairs, anchors, negatives))
+        if not len(again):
+            return negatives
+        negatives[again] = rng.integers(n, size=len(again))
+    for i in np.flatnonzero(~_is_far(pairs, anchors, negatives)):
+        far = np.flatnonzero(_is_far(pairs, anchors[i], np.arange(n)))
+        if not len(far):
+            raise UserError(
+                f"frame {anchors[i]} has no frame farther than {pairs.d_neg_m:g} m to be its wrong "
+                "match: train on a larger area or lower d_neg_m"
+            )
+        negatives[i] = rng.choice(far)
+    return negatives
+
+
+def epoch_rng(seed: int, epoch: int) -> np.random.Generator:
+    """Give the generator of one epoch, a function of (seed, epoch) alone."""
+    return np.random.default_rng((seed, epoch))
+
+
+def num_pair_batches(pairs: Pairs, batch_size: int) -> int:
+    """How many batches `pair_batches` yields."""
+    return -(-len(pairs.positive) // batch_size)
+
+
+def pair_batches(pairs: Pairs, batch_size: int, rng: np.random.Generator) -> Iterator[Batch]:
+    """One epoch as the paper has it: every true match once, each with one wrong match.
+
+    The wrong match shares the true match's anchor, which is either of its two frames by chance.
+    A batch of b items has 3 b rows (anchors, positives, negatives) and 2 b pairs.
+    """
+    if not len(pairs.positive):
+        raise UserError(
+            f"no two frames lie within {pairs.d_pos_m:g} m of each other: give more runs of the "
+            "same places or raise d_pos_m"
+        )
+    order = rng.permutation(len(pairs.positive))
+    for start in range(0, len(order), batch_size):
+        items = rng.permuted(pairs.positive[order[start : start + batch_size]], axis=1)
+        anchor, positive = items.astype(np.int64).T
+        negative = sample_negatives(pairs, anchor, rng)
+        i = np.arange(len(items))
+        yield Batch(
+            rows=np.concatenate([anchor, positive, negative]),
+            pair=np.concatenate(
+                [np.column_stack([i, i + len(i)]), np.column_stack([i, i + 2 * len(i)])]
+            ),
+            is_positive=np.repeat([True, False], len(i)),
+        )
+
+
+def num_place_batches(pairs: Pairs, places: int, views: int) -> int:
+    """How many batches `place_batches` yields: enough to show as many frames as there are."""
+    return -(-len(np.unique(pairs.positive)) // (places * views))
+
+
+def place_batches(
+    pairs: Pairs,
+    places: int,
+    views: int,
+    rng: np.random.Generator,
+    *,
+    run: Int[np.ndarray, " n"] | None = None,
+) -> Iterator[Batch]:
+    """One epoch of batches in which every pair counts.
+
+    A batch shows `places` anchors, all farther than d_neg_m from each other, each with views - 1 of
+    its true matches: first one of every other run, then the rest. Frames not yet shown in this
+    epoch are taken first as anchors. The batch is smaller where the world has no room for so many
+    places or a place has fewer true matches. Pairs that are neither true nor wrong are left out.
+
+    `run` numbers the run of each frame. Raises UserError where not even two places fit.
+    """
+    if places < 2 or views < 2:
+        raise ValueError(f"need at least 2 places and 2 views, not {places} and {views}")
+    n = len(pairs.positions)
+    run = np.zeros(n, np.int64) if run is None else run
+    first, matches = _match_lists(pairs)
+    order = rng.permutation(np.flatnonzero(np.diff(first)))
+    shown = np.zeros(n, np.bool_)
+    for _ in range(num_place_batches(pairs, places, views)):
+        is_shown = shown[order]
+        queue = np.concatenate([order[~is_shown], order[is_shown]])
+        anchors = _far_apart(queue, pairs.positions, pairs.world, pairs.d_neg_m, places)
+        if len(anchors) < 2:
+            raise UserError(
+                f"no two places lie farther than {pairs.d_neg_m:g} m from each other: train on a "
+                "larger area or lower d_neg_m"
+            )
+        rows = _with_views(anchors, first, matches, run, views, rng)
+        shown[rows] = True
+        a, b = np.triu_indices(len(rows), k=1)
+        is_positive = _is_near(pairs, rows[a], rows[b])
+        counts = is_positive | _is_far(pairs, rows[a], rows[b])
+        yield Batch(
+            rows=rows,
+            pair=np.column_stack([a[counts], b[counts]]),
+            is_positive=is_positive[counts],
+        )
+
+
+def _match_lists(pairs: Pairs) -> tuple[Int64[np.ndarray, " offsets"], Int64[np.ndarray, " both"]]:
+    """True matches of frame i: matches[first[i]:first[i + 1]]."""
+    one, other = np.concatenate([pairs.positive, pairs.positive[:, ::-1]]).astype(np.int64).T
+    first = np.searchsorted(np.sort(one), np.arange(len(pairs.positions) + 1))
+    return first, other[np.argsort(one, kind="stable")]
+
+
+def _with_views(
+    anchors: Int64[np.ndarray, " a"],
+    first: Int64[np.ndarray, " offsets"],
+    matches: Int64[np.ndarray, " both"],
+    run: Int[np.ndarray, " n"],
+    views: int,
+    rng: np.random.Generator,
+) -> Int64[np.ndarray, " b"]:
+    """Give each anchor and, behind it, up to views - 1 of its matches, other runs first."""
+    counts = 1 + first[anchors + 1] - first[anchors]
+    place = np.repeat(np.arange(len(anchors)), counts)
+    rows = np.concatenate([np.r_[a, matches[first[a] : first[a + 1]]] for a in anchors])
+    chance = rng.random(len(rows))
+    chance[np.cumsum(counts) - counts] = -1.0  # the anchor is the first of its place and its run
+    by_run = np.lexsort((chance, run[rows], place))
+    turn = np.empty(len(rows), np.int64)  # 0: the first of its run at this place to be taken
+    turn[by_run] = _position_in_group(place[by_run], run[rows][by_run])
+    by_turn = np.lexsort((chance, turn, place))
+    return rows[by_turn][_position_in_group(place[by_turn]) < views]
+
+
+def _position_in_group(*keys: Int[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    """Number the elements of each stretch of equal keys from 0."""
+    index = np.arange(len(keys[0]))
+    is_start = np.ones(len(index), np.bool_)
+    is_start[1:] = np.any([key[1:] != key[:-1] for key in keys], axis=0)
+    return index - np.maximum.accumulate(np.where(is_start, index, 0))
+
+
+def _distance_squared(
+    pairs: Pairs, a: Int[np.ndarray, "*m"] | np.integer, b: Int[np.ndarray, "*m"]
+) -> Float64[np.ndarray, "*m"]:
+    return np.square(pairs.positions[a] - pairs.positions[b]).sum(axis=-1)
+
+
+def _is_near(
+    pairs: Pairs, a: Int[np.ndarray, " m"], b: Int[np.ndarray, " m"]
+) -> Bool[np.ndarray, " m"]:
+    """Whether frames a and b are a true match; a frame is none of itself."""
+    same_world = pairs.world[a] == pairs.world[b]
+    return same_world & (a != b) & (_distance_squared(pairs, a, b) <= pairs.d_pos_m**2)
+
+
+def _is_far(
+    pairs: Pairs, a: Int[np.ndarray, " m"] | np.integer, b: Int[np.ndarray, " m"]
+) -> Bool[np.ndarray, " m"]:
+    """Whether frames a and b are a wrong match."""
+    other_world = pairs.world[a] != pairs.world[b]
+    return other_world | (_distance_squared(pairs, a, b) > pairs.d_neg_m**2)
+
+
+@njit(cache=True)
+@no_type_check
+def _far_apart(queue, positions, world, d_neg_m, count):
+    """Walk the queue and take each frame that is far from all taken, until there are `count`."""
+    taken = np.empty(count, np.int64)
+    found = 0
+    for row in queue:
+        fits = True
+        for i in range(found):
+            x = positions[row, 0] - positions[taken[i], 0]
+            y = positions[row, 1] - positions[taken[i], 1]
+            if world[row] == world[taken[i]] and x * x + y * y <= d_neg_m * d_neg_m:
+                fits = False
+                break
+        if fits:
+            taken[found] = row
+            found += 1
+            if found == count:
+                break
+    return taken[:found]
