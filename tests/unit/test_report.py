@@ -1,0 +1,261 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from adafusion.report import (
+    AlphaTrace,
+    Candidate,
+    Estimate,
+    PairDistances,
+    ProtocolFacts,
+    ReportData,
+    Retrieval,
+    RouteView,
+    SeenPlace,
+    SplitCount,
+    SystemResult,
+    write_report,
+)
+from adafusion.report.html import interval, jpeg, percent, points, render, who_may_answer
+
+VOID = {"meta", "link", "br", "img", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """Text, tags and attributes of a page; an element that does not close is an error."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(html)
+        self.close()
+        assert not self.open
+        self.text = " ".join(" ".join(self.words).split())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open:
+            self.words.append(data)
+
+
+def bare(**changes: object) -> ReportData:
+    """The least that a report can be made of."""
+    data = ReportData(
+        title="day against night",
+        created="2026-11-22",
+        dataset="campus 1",
+        synthetic=False,
+        protocol=ProtocolFacts(name="cross-run", words="", radius_m=20.0, distance="L1"),
+        systems=(SystemResult(name="lidar", recall=np.array([0.5, 0.75])),),
+    )
+    return replace(data, **changes)
+
+
+def full() -> ReportData:
+    rng = np.random.default_rng(0)
+    along = np.arange(12.0)
+    place = SeenPlace(
+        key="night/17",
+        image=rng.integers(0, 255, (60, 80, 3), dtype=np.uint8),
+        points_body=rng.normal(0, 5, (100, 3)).astype(np.float32),
+        alpha=(0.25, 0.75),
+    )
+    top1 = Candidate(place=place, rank=1, distance=3.5, away_m=120.0, image_share=0.3)
+    nothing = SeenPlace(key="night/18")
+    return bare(
+        synthetic=True,
+        protocol=ProtocolFacts(
+            name="cross-run",
+            words="One run asks, another answers.",
+            radius_m=20.0,
+            distance="L1",
+            splits=(SplitCount(name="day->night", queries=1234, left_out=7, database=240),),
+            intervals="bootstrap",
+        ),
+        systems=tuple(
+            SystemResult(
+                name=name,
+                recall=np.linspace(0.5, 0.9, 25),
+                recall_low=np.linspace(0.4, 0.8, 25),
+                recall_high=np.linspace(0.6, 1.0, 25),
+                recall_at_1_percent=Estimate(value=0.7, low=0.6, high=0.8),
+                gap=Estimate(value=-0.02, low=-0.05, high=0.01) if name == "lidar" else None,
+                fingerprint="0123456789abcdef",
+            )
+            for name in ("lidar", "adafusion")
+        ),
+        routes=(
+            RouteView(
+                system="adafusion",
+                split="day->night",
+                database_xy_m=rng.normal(0, 50, (30, 2)),
+                query_xy_m=rng.normal(0, 50, (12, 2)),
+                is_hit=along > 4,
+                is_answerable=along > 1,
+                top1_xy_m=rng.normal(0, 50, (12, 2)),
+            ),
+        ),
+        alpha=tuple(
+            AlphaTrace(
+                system="adafusion",
+                run=run,
+                along_m=along,
+                alpha=np.full((12, 2), (0.2, 0.8)),
+                zones=("street",) * 6 + ("tunnel",) * 6,
+            )
+            for run in ("day", "night")
+        ),
+        retrievals=(
+            Retrieval(system="adafusion", query=place, top1=top1, true=None, is_hit=False),
+            Retrieval(
+                system="adafusion",
+                query=nothing,
+                top1=replace(top1, place=nothing),
+                true=top1,
+                is_hit=True,
+            ),
+        ),
+        distances=(
+            PairDistances(system="adafusion", true=rng.random(50), wrong=1 + rng.random(50)),
+        ),
+        facts={"commit": "abc1234"},
+        command="adafusion evaluate <model>",
+        config="model: {name: adafusion}",
+    )
+
+
+def test_a_report_is_well_formed_and_says_what_was_measured(tmp_path: Path) -> None:
+    path = write_report(tmp_path / "new" / "report.html", full())
+    page = Page(path.read_text(encoding="utf-8"))
+    for words in (
+        "adafusion names the right place first for 50.0 % of 1 234 queries",
+        "(95 % interval 40.0–60.0 %): within 20 m, protocol cross-run",
+        "SYNTHETIC",
+        "−2.0 (−5.0 to +1.0)",
+        "Any frame of the database may answer.",
+        "day → night 1 234 7 240",
+        "✗ miss",
+        "rank 1, 120.0 m away, distance 3.5",
+        "30 % of the distance from the image, 70 % from the LiDAR",
+        "no image no cloud",
+        "adafusion evaluate <model>",
+        "abc1234",
+    ):
+        assert words in page.text
+
+
+def test_a_report_asks_nothing_of_the_network(tmp_path: Path) -> None:
+    html = write_report(tmp_path / "report.html", full()).read_text(encoding="utf-8")
+    page = Page(html)
+    for tag, attributes in page.tags:
+        assert tag not in {"script", "iframe", "object"}
+        for name in ("src", "href", "xlink:href"):
+            address = attributes.get(name) or "#"
+            assert address.startswith(("data:", "#")), f"<{tag} {name}={address[:60]}>"
+    assert "@import" not in html
+    assert all(address.startswith("#") for address in re.findall(r"url\((.*?)\)", html))
+
+
+def test_no_two_elements_share_an_id() -> None:
+    ids = [attributes["id"] for _, attributes in Page(render(full())).tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+
+
+def test_every_picture_has_words_for_who_cannot_see_it() -> None:
+    tags = Page(render(full())).tags
+    assert all(attributes.get("alt") for tag, attributes in tags if tag == "img")
+    assert all(attributes.get("aria-label") for tag, attributes in tags if tag == "svg")
+
+
+def test_the_same_data_make_the_same_page() -> None:
+    assert render(full()) == render(full())
+
+
+def test_a_report_without_extras_shows_only_the_recall() -> None:
+    page = Page(render(bare()))
+    assert "lidar names the right place first for 50.0 % of the queries: within 20 m" in page.text
+    for absent in ("SYNTHETIC", "trusted", "route", "side by side", "fingerprint", "Configuration"):
+        assert absent not in page.text
+
+
+def test_words_from_outside_stay_words() -> None:
+    html = render(bare(title="<script>alert(1)</script>", dataset="a & b"))
+    assert "<script" not in html
+    assert "a &amp; b" in html
+
+
+def test_an_unknown_headline_is_refused() -> None:
+    with pytest.raises(ValueError, match="none of the systems"):
+        bare(headline="fused")
+
+
+def test_recall_outside_fractions_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"fractions in \[0, 1\]"):
+        SystemResult(name="lidar", recall=np.array([50.0]))
+
+
+def test_recall_beyond_the_curve_is_unknown() -> None:
+    result = SystemResult(name="lidar", recall=np.array([0.5]))
+    assert result.recall_at(1) == Estimate(value=0.5)
+    assert result.recall_at(5) is None
+
+
+@pytest.mark.parametrize(
+    ("exclude_self", "exclude_query_run", "words"),
+    [
+        (False, False, "Any frame of the database may answer."),
+        (True, False, "except the query itself"),
+        (True, True, "except those of the query's own run"),
+    ],
+)
+def test_who_may_answer_is_said_in_words(
+    exclude_self: bool, exclude_query_run: bool, words: str
+) -> None:
+    facts = ProtocolFacts(
+        name="union",
+        words="",
+        radius_m=20.0,
+        distance="L1",
+        exclude_self=exclude_self,
+        exclude_query_run=exclude_query_run,
+    )
+    assert words in who_may_answer(facts)
+
+
+def test_numbers_are_printed_in_percent() -> None:
+    assert percent(1 / 3) == "33.3\u00a0%"
+    assert interval(Estimate(value=0.5)) == ""
+    assert interval(Estimate(value=0.5, low=0.25, high=0.75)) == "25.0–75.0"
+    assert points(Estimate(value=0.0312)) == "+3.1"
+
+
+def test_a_large_image_is_made_smaller_and_keeps_its_colours() -> None:
+    red = np.zeros((300, 800, 3), np.uint8)
+    red[..., 0] = 255
+    data = base64.b64decode(jpeg(red).removeprefix("data:image/jpeg;base64,"))
+    seen = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB)
+    assert seen.shape == (150, 400, 3)
+    assert seen[75, 200, 0] > 240
+    assert seen[75, 200, 1:].max() < 20
