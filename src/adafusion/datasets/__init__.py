@@ -4,6 +4,29 @@
 
 from __future__ import annotations
 
-from adafusion.datasets.native import Dataset, DatasetInfo, DatasetWriter, open_dataset
+from collections.abc import Callable
 
-__all__ = ["Dataset", "DatasetInfo", "DatasetWriter", "open_dataset"]
+from adafusion.datasets.kitti_odometry import prepare_kitti_odometry
+from adafusion.datasets.native import (
+    Dataset,
+    DatasetInfo,
+    DatasetWriter,
+    open_dataset,
+    read_cloud,
+    read_image,
+    write_observation,
+)
+
+READERS: dict[str, Callable[..., Dataset]] = {"kitti-odometry": prepare_kitti_odometry}
+
+__all__ = [
+    "READERS",
+    "Dataset",
+    "DatasetInfo",
+    "DatasetWriter",
+    "open_dataset",
+    "prepare_kitti_odometry",
+    "read_cloud",
+    "read_image",
+    "write_observation",
+]

@@ -146,7 +146,7 @@ def open_dataset(path: str | Path) -> Dataset:
 
 def read_image(path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
     """Read a PNG or JPEG file as RGB; UserError where it is missing, cut short or damaged."""
-    return decode_image(_read_bytes(Path(path), "image"), path)
+    return decode_image(read_bytes(Path(path), "image"), path)
 
 
 def decode_image(data: bytes, path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
@@ -192,13 +192,16 @@ def check_points(
 _REPLACE = "replace the {} with a whole one, or remove the file and its frame"
 
 
-def _read_bytes(path: Path, kind: str) -> bytes:
+def read_bytes(path: Path, kind: str) -> bytes:
+    """All bytes of a sensor file; UserError where it cannot be read. `kind`: "image" or "cloud"."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
         raise UserError(f"{path} is missing: {_REPLACE.format(kind)}") from None
     except OSError as error:
-        raise UserError(f"{path} cannot be read ({error.strerror})") from error
+        raise UserError(
+            f"{path} cannot be read ({error.strerror}): {_REPLACE.format(kind)}"
+        ) from error
 
 
 def _is_whole(data: bytes) -> bool:
