@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -23,10 +23,13 @@ class UserError(Exception):
     """Bad input or wrong usage: the message names the file and the remedy; the CLI exits with 2."""
 
 
+@runtime_checkable
 class Progress(Protocol):
     """Wraps an iterable to show how far a job is; the CLI passes `tqdm`, a library call `silent`."""
 
-    def __call__(self, items: Iterable[T], *, total: int | None = None, desc: str = "") -> Iterable[T]:
+    def __call__(
+        self, items: Iterable[T], *, total: int | None = None, desc: str = ""
+    ) -> Iterable[T]:
         """Yield from `items`, reporting each."""
         ...
 
@@ -65,7 +68,9 @@ class Observation:
 class Description(NamedTuple):
     """What a model says of a batch of places. A part that a system does not have is None."""
 
-    fused: Float[Tensor, "b d"] | None  # the descriptor that is searched; None when a sensor is missing
+    fused: (
+        Float[Tensor, "b d"] | None
+    )  # the descriptor that is searched; None when a sensor is missing
     image_half: Float[Tensor, "b half"] | None  # before weighting
     lidar_half: Float[Tensor, "b half"] | None
     alpha: Float[Tensor, "b 2"] | None  # trust in (image, LiDAR), each in (0, 1)
