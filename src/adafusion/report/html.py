@@ -58,6 +58,7 @@ def render(data: ReportData) -> str:
         "points": points,
         "jpeg": jpeg,
         "birds_eye": lambda cloud: png(plots.birds_eye(cloud)),
+        "breadth": lambda image: min(image.shape[1] / image.shape[0], 1.8),  # of a cloud's square
         "arrow": lambda text: text.replace("->", " → "),
         "count": lambda number: f"{number:,}".replace(",", "\u202f"),
     }
@@ -124,12 +125,9 @@ def interval(estimate: Estimate) -> str:
     return f"{100 * estimate.low:.1f}\u2013{100 * estimate.high:.1f}"
 
 
-def points(estimate: Estimate) -> str:
-    """A difference of fractions in percentage points, with its sign and interval."""
-    text = f"{100 * estimate.value:+.1f}"
-    if estimate.low is not None and estimate.high is not None:
-        text += f" ({100 * estimate.low:+.1f} to {100 * estimate.high:+.1f})"
-    return text.replace("-", "\u2212")
+def points(difference: float) -> str:
+    """A difference of fractions in percentage points, with its sign: `+3.1`."""
+    return f"{100 * difference:+.1f}".replace("-", "\u2212")
 
 
 def who_may_answer(protocol: ProtocolFacts) -> str:

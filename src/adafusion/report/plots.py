@@ -9,15 +9,17 @@ people who see fewer of them; right and wrong differ in shape as well.
 
 from __future__ import annotations
 
+import importlib
 import io
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import groupby
+from itertools import cycle, groupby
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from adafusion.report.data import AlphaTrace, PairDistances, RouteView, SystemResult
 
@@ -35,6 +37,7 @@ SYSTEMS = {"image": IMAGE, "lidar": LIDAR, "concat": "#cc79a7", "adafusion": INK
 SPARE = ("#56b4e9", "#8a6d1f", "#7b5ea7", "#6b7280", "#a3333d")
 ZONES = ("#7b5ea7", "#56b4e9", "#8a6d1f", "#6b7280", "#cc79a7", "#009e73")
 
+WIDE, HALF = 10.8, 5.2  # inches: the width of a page, and of a chart with a neighbour
 MANY = 3000  # marks from which a picture is smaller than their outlines
 STYLE = {
     "font.family": ["sans-serif"],
@@ -68,132 +71,125 @@ STYLE = {
 
 def system_colors(names: Iterable[str]) -> dict[str, str]:
     """The colour of each system; the size in a name does not matter (`adafusion-s`)."""
-    spare = iter(SPARE * 10)
+    spare = cycle(SPARE)
     return {name: SYSTEMS.get(name.removesuffix("-s")) or next(spare) for name in names}
 
 
 def recall_curve(systems: Sequence[SystemResult]) -> Figure:
     """Recall@N of each system, in percent over N, its interval as a band."""
     with _style():
-        figure, (axes,) = _figure(6.2, 4.4)
+        figure, (axes,) = _figure(WIDE, 4.2)
         colors = system_colors(system.name for system in systems)
         for system in sorted(systems, key=lambda system: -float(system.recall[0])):
-            n = np.arange(1, len(system.recall) + 1)
+            n, color = np.arange(1, len(system.recall) + 1), colors[system.name]
             if system.recall_low is not None and system.recall_high is not None:
-                axes.fill_between(
-                    n,
-                    100 * system.recall_low,
-                    100 * system.recall_high,
-                    color=colors[system.name],
-                    alpha=0.13,
-                    linewidth=0,
-                )
-            axes.plot(
-                n,
-                100 * system.recall,
-                color=colors[system.name],
-                linewidth=1.9,
-                marker="o" if len(n) <= 30 else None,
-                markersize=3,
-                label=f"{system.name}  {100 * system.recall[0]:.1f} %",
-            )
+                low, high = 100 * system.recall_low, 100 * system.recall_high
+                axes.fill_between(n, low, high, color=color, alpha=0.13, linewidth=0)
+            label = f"{system.name}  {100 * system.recall[0]:.1f} %"
+            marks: dict[str, Any] = {"marker": "o", "markersize": 3.5} if len(n) <= 30 else {}
+            axes.plot(n, 100 * system.recall, color=color, linewidth=1.9, label=label, **marks)
         longest = max(len(system.recall) for system in systems)
-        axes.set_xlim(1 - 0.02 * longest, longest + 0.02 * longest)
+        ticks = [n for n in (1, 5, 10, 15, 20, 25, 50, 100) if n <= longest]
+        axes.set_xticks(ticks)
+        axes.set_xlim(1 - 0.02 * longest, 1.02 * longest)
         axes.set_ylim(0, 101)
-        axes.set_xticks([n for n in (1, 5, 10, 15, 20, 25) if n <= longest])
-        axes.set_xlabel("N, candidates looked at")
+        axes.set_xlabel("N, number of candidates looked at")
         axes.set_ylabel("recall@N (%)")
-        axes.legend(title="recall@1", alignment="left", loc="lower right")
+        figure.legend(title="recall@1", alignment="left", loc="outside right upper")
         return figure
 
 
 def route(view: RouteView) -> Figure:
-    """The database's route, the queries on it (right, wrong, left out), wrong answers as lines."""
+    """The database's route, the queries on it (right, wrong, left out), wrong answers as lines.
+
+    x and y are those of the dataset's world, metres; from a near origin where they are large.
+    """
     with _style():
-        origin = _far_origin(view.database_xy_m)
+        origin = _near_origin(view.database_xy_m)
         database, query = view.database_xy_m - origin, view.query_xy_m - origin
-        wide, high = np.ptp(np.concatenate([database, query]), axis=0) + 20.0
-        figure, (axes,) = _figure(6.2, float(np.clip(5.4 * high / wide, 2.2, 6.5)) + 0.9)
+        wide, high = np.ptp(np.concatenate([database, query]), axis=0) + 10.0
+        figure, (axes,) = _figure(HALF, 0.9 + float(np.clip(5.0 * high / wide, 2.4, 6.0)))
         asked = np.ones(len(query), bool) if view.is_answerable is None else view.is_answerable
         right, wrong = asked & view.is_hit, asked & ~view.is_hit
-        picture = len(database) + len(query) > MANY
-        marks: dict[str, Any] = {"linestyle": "none", "rasterized": picture}
 
-        axes.plot(*database.T, ".", color=FAINT, markersize=4, label="database", **marks)
-        if view.top1_xy_m is not None:
-            for here, there in zip(query[wrong], view.top1_xy_m[wrong] - origin, strict=True):
-                axes.plot(*np.stack([here, there]).T, color=WRONG, linewidth=0.7, alpha=0.35)
+        def mark(where: Float[np.ndarray, "n 2"], marker: str, label: str, **look: Any) -> None:
+            many = len(database) + len(query) > MANY
+            axes.plot(*where.T, marker, label=label, rasterized=many, **look)
+
+        mark(database, "o", "database", color=FAINT, alpha=0.3, markersize=6, markeredgewidth=0)
+        if view.top1_xy_m is not None and wrong.any():
+            ways = np.stack([query[wrong], view.top1_xy_m[wrong] - origin])  # (2, misses, 2)
+            strength = float(np.clip(10 / wrong.sum(), 0.12, 0.5))  # many lines hide the map
+            axes.plot(*ways.transpose(2, 0, 1), color=WRONG, linewidth=0.8, alpha=strength)
         if not asked.all():
-            axes.plot(
-                *query[~asked].T,
-                "o",
-                markerfacecolor="none",
-                markeredgecolor=FAINT,
-                markersize=5,
-                label=f"left out ({(~asked).sum()})",
-                **marks,
-            )
-        axes.plot(
-            *query[right].T, "o", color=RIGHT, markersize=4.5, label=f"hit ({right.sum()})", **marks
-        )
-        axes.plot(
-            *query[wrong].T,
-            "X",
+            label = f"left out ({(~asked).sum()})"
+            mark(query[~asked], "o", label, color=FAINT, markerfacecolor="none", markersize=5)
+        mark(query[right], "o", f"hit ({right.sum()})", color=RIGHT, markersize=4)
+        mark(
+            query[wrong],
+            "x",
+            f"miss ({wrong.sum()})",
             color=WRONG,
-            markersize=6,
-            markeredgecolor="white",
-            markeredgewidth=0.4,
-            label=f"miss ({wrong.sum()})",
-            **marks,
+            markersize=5,
+            markeredgewidth=1.6,
         )
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_title(f"{view.system}, {view.split}".replace("->", " → "))
         for axis, name, value in zip((axes.xaxis, axes.yaxis), "xy", origin, strict=True):
             axis.set_label_text(f"{name} − {value:.0f} (m)" if value else f"{name} (m)")
-        figure.legend(loc="outside lower center", ncols=4, handletextpad=0.2, columnspacing=1.2)
+        figure.legend(loc="outside lower center", ncols=4, handletextpad=0.3, columnspacing=1.2)
         return figure
 
 
 def alpha_along_route(traces: Sequence[AlphaTrace]) -> Figure:
-    """Both weights over the metres driven, one panel a run, the kinds of place shaded."""
+    """Both weights over the metres driven, one panel a run, the kinds of place shaded.
+
+    The commonest kind stays white.
+    """
     with _style():
-        figure, panels = _figure(11.0, 0.8 + 1.9 * len(traces), rows=len(traces))
-        tints = _zone_tints(traces)
+        figure, panels = _figure(WIDE, 0.9 + 1.9 * len(traces), rows=len(traces))
+        common, tints = _zone_tints(traces)
         for axes, trace in zip(panels, traces, strict=True):
             for zone, first, last in zone_bands(trace):
                 if zone in tints:
-                    axes.axvspan(first, last, color=tints[zone], alpha=0.16, linewidth=0)
-            x, alpha = _broken_at_gaps(trace.along_m, trace.alpha)
-            for column, (label, color) in enumerate((("image", IMAGE), ("LiDAR", LIDAR))):
-                axes.plot(x, alpha[:, column], color=color, linewidth=1.5, label=label)
+                    axes.axvspan(first, last, color=tints[zone], alpha=0.18, linewidth=0)
+            gaps = _gaps(trace.along_m)  # a line must not pretend to have seen what lies between
+            along = np.insert(trace.along_m, gaps, np.nan)
+            for label, color, weight in zip(
+                ("image", "LiDAR"), (IMAGE, LIDAR), trace.alpha.T, strict=True
+            ):
+                weight = np.insert(weight, gaps, np.nan)
+                axes.plot(along, weight, color=color, linewidth=1.5, label=label)
             axes.set_ylim(0, 1)
             axes.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0", "", "0.5", "", "1"])
             axes.set_ylabel("weight α")
             axes.set_title(trace.run)
             axes.margins(x=0.01)
         panels[-1].set_xlabel("distance driven (m)")
-        lines, labels = panels[0].get_legend_handles_labels()
+        marks, labels = panels[0].get_legend_handles_labels()
         patch = _matplotlib("patches").Patch
-        bands = [patch(color=tint, alpha=0.2, linewidth=0) for tint in tints.values()]
-        figure.legend(lines + bands, labels + list(tints), loc="outside lower center", ncols=8)
+        marks += [patch(color=tint, alpha=0.25, linewidth=0) for tint in tints.values()]
+        labels += list(tints)
+        if common:
+            marks.append(patch(facecolor="none", edgecolor=FAINT, linewidth=0.7))
+            labels.append(common)
+        figure.legend(marks, labels, loc="outside lower center", ncols=8)
         return figure
 
 
 def distance_histogram(pairs: PairDistances, *, unit: str = "L1") -> Figure:
-    """Descriptor distances of pairs at the same place against pairs apart, each summing to 1."""
+    """Descriptor distances of pairs at the same place and of pairs apart, each summing to 100 %."""
     with _style():
-        figure, (axes,) = _figure(6.2, 3.4)
+        figure, (axes,) = _figure(HALF, 3.4)
         edges = np.histogram_bin_edges(np.concatenate([pairs.true, pairs.wrong]), bins=40)
-        for values, label, color in (
-            (pairs.wrong, "apart", WRONG),
-            (pairs.true, "same place", RIGHT),
+        for name, values, color in (
+            ("apart", pairs.wrong, WRONG),
+            ("same place", pairs.true, RIGHT),
         ):
-            counts, _ = np.histogram(values, edges)
-            share = 100 * counts / max(len(values), 1)
+            share = 100 * np.histogram(values, edges)[0] / max(len(values), 1)
+            label = f"{name} ({len(values)} pairs)"
             axes.stairs(share, edges, color=color, alpha=0.25, fill=True)
-            axes.stairs(
-                share, edges, color=color, linewidth=1.6, label=f"{label} ({len(values)} pairs)"
-            )
+            axes.stairs(share, edges, color=color, linewidth=1.6, label=label)
         axes.set_title(pairs.system)
         axes.set_xlabel(f"descriptor distance ({unit})")
         axes.set_ylabel("share of the pairs (%)")
@@ -226,17 +222,25 @@ def birds_eye(
 def zone_bands(trace: AlphaTrace) -> list[tuple[str, float, float]]:
     """(zone, first metre, last metre) of each stretch of equal zone; frames without one have none.
 
-    A band reaches half way to the neighbouring frames, so that bands meet.
+    A band reaches half way to the neighbouring frames, so that bands meet, but not over a gap.
     """
+    if not trace.zones:
+        return []
     middle = (trace.along_m[1:] + trace.along_m[:-1]) / 2
-    edge = np.concatenate([trace.along_m[:1], middle, trace.along_m[-1:]])
-    bands, first = [], 0
-    for zone, group in groupby(trace.zones):
-        end = first + len(list(group))
-        if zone is not None:
-            bands.append((zone, float(edge[first]), float(edge[end])))
-        first = end
-    return bands
+    gaps = _gaps(trace.along_m)
+    first = np.concatenate([trace.along_m[:1], middle])
+    first[gaps] = trace.along_m[gaps]
+    last = np.concatenate([middle, trace.along_m[-1:]])
+    last[gaps - 1] = trace.along_m[gaps - 1]
+    piece = np.zeros(len(first), int)
+    piece[gaps] = 1
+    key = list(zip(np.cumsum(piece).tolist(), trace.zones, strict=True))
+    stretches = [list(rows) for _, rows in groupby(range(len(key)), lambda row: key[row])]
+    return [
+        (zone, float(first[rows[0]]), float(last[rows[-1]]))
+        for rows in stretches
+        if (zone := trace.zones[rows[0]]) is not None
+    ]
 
 
 def to_svg(figure: Figure, *, label: str, recolor: Mapping[str, str] | None = None) -> str:
@@ -261,8 +265,6 @@ def to_svg(figure: Figure, *, label: str, recolor: Mapping[str, str] | None = No
 
 def _matplotlib(module: str) -> Any:
     try:
-        import importlib
-
         return importlib.import_module(f"matplotlib.{module}")
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
@@ -281,22 +283,20 @@ def _figure(width: float, height: float, *, rows: int = 1) -> tuple[Figure, list
     return figure, list(figure.subplots(rows, 1, sharex=True, sharey=True, squeeze=False)[:, 0])
 
 
-def _far_origin(xy_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " 2"]:
-    """What to take off map coordinates (UTM northings have seven digits) to read them at all."""
+def _near_origin(xy_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " 2"]:
+    """What to take off map coordinates to read them at all: UTM northings have seven digits."""
     lowest = xy_m.min(axis=0) if len(xy_m) else np.zeros(2)
     return np.where(np.abs(lowest) > 1e4, np.floor(lowest / 1000) * 1000, 0.0)
 
 
-def _zone_tints(traces: Sequence[AlphaTrace]) -> dict[str, str]:
-    """A tint for each kind of place."""
-    zones = sorted({zone for trace in traces for zone in trace.zones if zone is not None})
-    return {zone: ZONES[k % len(ZONES)] for k, zone in enumerate(zones)}
+def _zone_tints(traces: Sequence[AlphaTrace]) -> tuple[str | None, dict[str, str]]:
+    """The commonest kind of place, and a tint for each other one."""
+    count = Counter(zone for trace in traces for zone in trace.zones if zone is not None)
+    common = max(sorted(count), key=lambda zone: count[zone], default=None)
+    return common, dict(zip(sorted(count.keys() - {common}), cycle(ZONES), strict=False))
 
 
-def _broken_at_gaps(
-    x: Float[np.ndarray, " n"], y: Float[np.ndarray, "n 2"]
-) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m 2"]]:
-    """Put a NaN where frames are missing, so that a line does not pretend to have seen them."""
-    step = np.diff(x)
-    gaps = np.flatnonzero(step > 5 * np.median(step)) + 1 if len(step) else np.zeros(0, int)
-    return np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan, axis=0)
+def _gaps(along_m: Float[np.ndarray, " n"]) -> Int[np.ndarray, " g"]:
+    """Rows before which frames are missing: steps of five usual ones."""
+    step = np.diff(along_m)
+    return np.flatnonzero(step > 5 * np.median(step)) + 1 if len(step) else np.zeros(0, np.int64)
