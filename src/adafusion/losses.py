@@ -13,7 +13,7 @@ from torch import Tensor
 def pair_distance(
     descriptors: Float[Tensor, "b d"], pair: Int[Tensor, "m 2"]
 ) -> Float[Tensor, " m"]:
-    """L1 distance of each pair of rows, with 1e-6 added to every difference as the paper's code has."""
+    """L1 distance of each pair of rows; 1e-6 is added to every difference, as in the released code."""
     a, b = descriptors[pair[:, 0]], descriptors[pair[:, 1]]
     return (a - b + 1e-6).abs().sum(dim=1)
 
@@ -24,7 +24,7 @@ def pair_margin(
     margin: float = 25.0,
     slack: float = 1.0,
 ) -> Float[Tensor, ""]:
-    """Pair margin loss (paper Eq. 8): true pairs below margin - slack, wrong ones above margin + slack.
+    """Pair margin loss of the paper: true pairs below margin - slack, wrong ones above the sum.
 
     The mean over true pairs plus the mean over wrong pairs; with one of each an item, that is the
     paper's mean over items of positive + negative term. A kind that is absent adds nothing.
@@ -47,20 +47,24 @@ def active_share(
 
 
 def contrastive_softmax(
-    descriptors: Float[Tensor, "b d"],
+    similarity: Float[Tensor, "b b"],
     is_positive: Bool[Tensor, "b b"],
     is_negative: Bool[Tensor, "b b"],
-    temperature: float = 0.1,
 ) -> Float[Tensor, ""]:
-    """Softmax over cosine similarities: each true match against all wrong ones in the batch.
+    """Softmax of each true match against all wrong ones in the batch, averaged over frames.
 
-    The easier loss to begin with: unlike a margin it never stops pushing, and it does not ask for a
-    scale. Diagonal entries of both masks must be False; frames without a positive are left out.
+    The easier loss to begin with: unlike a margin it never stops pushing and asks for no scale.
+    `similarity` is already divided by its temperature. The diagonal of both masks must be False;
+    frames without a true match in the batch are left out.
     """
-    unit = F.normalize(descriptors, dim=1)
-    similarity = unit @ unit.T / temperature
     wrong = similarity.masked_fill(~is_negative, float("-inf")).logsumexp(dim=1, keepdim=True)
     log_ratio = similarity - torch.logaddexp(similarity, wrong)
     count = is_positive.sum(dim=1)
-    loss = -(log_ratio.masked_fill(~is_positive, 0.0).sum(dim=1) / count.clamp(min=1))
-    return loss[count > 0].mean() if bool((count > 0).any()) else descriptors.sum() * 0.0
+    loss = -log_ratio.masked_fill(~is_positive, 0.0).sum(dim=1) / count.clamp(min=1)
+    return loss[count > 0].mean() if bool((count > 0).any()) else similarity.sum() * 0.0
+
+
+def cosine_similarity(descriptors: Float[Tensor, "b d"]) -> Float[Tensor, "b b"]:
+    """Cosine of every pair of rows."""
+    unit = F.normalize(descriptors, dim=1)
+    return unit @ unit.T

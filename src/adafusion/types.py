@@ -20,12 +20,16 @@ T = TypeVar("T")
 
 
 class UserError(Exception):
-    """Bad input or wrong usage: the message names the file and the remedy; the CLI exits with 2."""
+    """Bad input or wrong usage: the message names file and remedy, the CLI exits with 2."""
+
+
+class JobFailed(Exception):
+    """A job that began rightly and cannot go on; the CLI exits with 1."""
 
 
 @runtime_checkable
 class Progress(Protocol):
-    """Wraps an iterable to show how far a job is; the CLI passes `tqdm`, a library call `silent`."""
+    """Wraps an iterable to show how far a job is: `tqdm` from the CLI, else `silent`."""
 
     def __call__(
         self, items: Iterable[T], *, total: int | None = None, desc: str = ""
@@ -93,10 +97,12 @@ class Split:
     pair of runs) make a protocol; see `adafusion.evaluation.protocols`.
     """
 
-    name: str  # "day->night"
+    name: str  # "night->day": queries of the night against the map of the day
     protocol: str  # "cross-run", "union", "union-strict", "pointnetvlad"
+    region: str = "test"  # the part of the world that the queries lie in
     radius_m: float
     query_rows: Int[np.ndarray, " q"]
     database_rows: Int[np.ndarray, " n"]
     exclude_self: bool = False  # the query's own frame may not answer
     exclude_query_run: bool = False  # no frame of the query's run may answer
+    run_ids: Int[np.ndarray, " frames"] | None = None  # run of every frame, where a run is excluded

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""The network of AdaFusion (Lai, Yin, Scherer, RA-L 2022) and its ablations, made of the same parts."""
+"""The network of AdaFusion (Lai, Yin, Scherer, RA-L 2022), and its ablations of the same parts."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class AdaFusion(nn.Module):
         image_u8: UInt8[np.ndarray, "h w 3"] | None,
         points_m: Float[np.ndarray, "n 3"] | None,
     ) -> tuple[Float[Tensor, "3 h w"] | None, Float[Tensor, "1 x y z"] | None]:
-        """Turn a raw RGB image and a cloud (body frame, metres) into tensors of the model's sizes."""
+        """Turn a raw RGB image and a cloud (body frame, metres) into the model's own tensors."""
         return self.config.preprocess(image_u8, points_m)
 
     @property

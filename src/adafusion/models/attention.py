@@ -76,14 +76,15 @@ class ChannelAttention(nn.Module):
         else:
             q_BCN, k_BCN, v_BCN = self.qkv(x).flatten(2).chunk(3, dim=1)
         weight_BCC = (q_BCN @ k_BCN.mT).softmax(dim=-1)
-        # narrow(weight @ v) = (narrow weight) @ v: 16 rows instead of C, and only at surviving cells
+        # narrow (weight v) = (narrow weight) v: 16 rows instead of C, at surviving cells only
         narrow_VC = self.narrow.weight.flatten(1)
         narrowed_BVM = (narrow_VC @ weight_BCC) @ v_BCN[:, :, keep]
+        assert self.narrow.bias is not None
         return (narrowed_BVM + self.narrow.bias[:, None]).unflatten(2, out_cells)
 
 
 def surviving_cells(cells: tuple[int, ...], out_cells: tuple[int, ...]) -> Int[Tensor, " m"]:
-    """Flat indices of the cells that a nearest-neighbour resize from `cells` to `out_cells` keeps."""
+    """Flat indices of the cells that a nearest-neighbour resize to `out_cells` keeps."""
     return _surviving_cells(tuple(map(int, cells)), tuple(map(int, out_cells)))
 
 
@@ -92,7 +93,7 @@ def _surviving_cells(cells: tuple[int, ...], out_cells: tuple[int, ...]) -> Tens
     with torch.inference_mode(False):
         flat = torch.zeros((), dtype=torch.int64)
         for n_in, n_out in zip(cells, out_cells, strict=True):
-            # the framework's own rule, in its own float arithmetic, rather than floor(i * n_in / n_out)
+            # the framework's own rule in its own float arithmetic, not floor(i * n_in / n_out)
             row = torch.arange(n_in, dtype=torch.float32)[None, None]
             kept = F.interpolate(row, size=n_out, mode="nearest")[0, 0].long()
             flat = flat[..., None] * n_in + kept

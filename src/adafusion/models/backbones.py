@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from jaxtyping import Float
@@ -55,15 +56,17 @@ def image_backbone(half: int = 128, width: float = 1.0) -> Backbone:
     `half` is the length of the feature and `width` scales every other layer (1.0: the paper's).
     """
     c1, c2 = _scaled(64, width), _scaled(128, width)
-    pool = lambda: nn.MaxPool2d(2)  # noqa: E731
     return Backbone(
         [
             nn.Sequential(
-                *_convs(nn.Conv2d, 3, c1, c1), pool(), *_convs(nn.Conv2d, c1, c1, c1), pool()
+                *_convs(nn.Conv2d, 3, c1, c1),
+                nn.MaxPool2d(2),
+                *_convs(nn.Conv2d, c1, c1, c1),
+                nn.MaxPool2d(2),
             ),
-            nn.Sequential(*_convs(nn.Conv2d, c1, c1, c1, c2, c2), pool()),
+            nn.Sequential(*_convs(nn.Conv2d, c1, c1, c1, c2, c2), nn.MaxPool2d(2)),
             nn.Sequential(
-                *_convs(nn.Conv2d, c2, c2, c2, half, half), nn.BatchNorm2d(half), pool()
+                *_convs(nn.Conv2d, c2, c2, c2, half, half), nn.BatchNorm2d(half), nn.MaxPool2d(2)
             ),
         ]
     )
@@ -72,12 +75,13 @@ def image_backbone(half: int = 128, width: float = 1.0) -> Backbone:
 def voxel_backbone(half: int = 128, width: float = 1.0) -> Backbone:
     """Branch over (B, 1, X, Y, Z): stages of 1/2, 1/4 and 1/8 of the grid's size."""
     c1, c2 = _scaled(32, width), _scaled(64, width)
-    pool = lambda: nn.AvgPool3d(2)  # noqa: E731
     return Backbone(
         [
-            nn.Sequential(*_convs(nn.Conv3d, 1, c1, c1), pool()),
-            nn.Sequential(*_convs(nn.Conv3d, c1, c2, c2, c2, c2), pool()),
-            nn.Sequential(*_convs(nn.Conv3d, c2, half, half), nn.BatchNorm3d(half), pool()),
+            nn.Sequential(*_convs(nn.Conv3d, 1, c1, c1), nn.AvgPool3d(2)),
+            nn.Sequential(*_convs(nn.Conv3d, c1, c2, c2, c2, c2), nn.AvgPool3d(2)),
+            nn.Sequential(
+                *_convs(nn.Conv3d, c2, half, half), nn.BatchNorm3d(half), nn.AvgPool3d(2)
+            ),
         ]
     )
 
@@ -86,7 +90,7 @@ def _convs(conv: type[Conv], *channels: int) -> list[nn.Module]:
     """Convolutions of kernel 3, stride 1, padding 1 through `channels`, each with a ReLU."""
     return [
         layer
-        for c_in, c_out in zip(channels[:-1], channels[1:], strict=True)
+        for c_in, c_out in pairwise(channels)
         for layer in (conv(c_in, c_out, kernel_size=3, padding=1), nn.ReLU(inplace=True))
     ]
 
@@ -131,7 +135,7 @@ def fold_norms(backbone: Backbone) -> None:
     for block in backbone.blocks:
         for name, layer in list(block.named_children()):
             if isinstance(layer, nn.Sequential):
-                conv, norm = layer
-                training = conv.training
-                fused = fuse_conv_bn_eval(conv.eval(), norm.eval())
-                setattr(block, name, fused.train(training))
+                conv, norm = layer[0], layer[1]
+                assert isinstance(conv, Conv)
+                assert isinstance(norm, nn.BatchNorm2d | nn.BatchNorm3d)
+                setattr(block, name, fuse_conv_bn_eval(conv.eval(), norm.eval()))

@@ -26,9 +26,7 @@ def describe(
     use_channels_last(model.eval())
     device = next(model.parameters()).device
     try:
-        parts = [
-            model(*(None if x is None else x.to(device) for x in batch)) for batch in batches
-        ]
+        parts = [model(*(None if x is None else x.to(device) for x in batch)) for batch in batches]
     finally:
         model.train(was_training)
     if not parts:
@@ -49,7 +47,9 @@ def use_channels_last(model: nn.Module) -> nn.Module:
 
 
 def _stack(parts: list[Description], index: int) -> np.ndarray | None:
-    values = [part[index] for part in parts]
-    if values[0] is None:
+    values = [value for part in parts if (value := part[index]) is not None]
+    if not values:
         return None
+    if len(values) < len(parts):
+        raise ValueError("batches must all have the same sensors")
     return torch.cat(values).float().cpu().numpy()

@@ -35,12 +35,12 @@ def load_model(name_or_path: str | Path, device: str | torch.device = "cpu") -> 
         with safe_open(path, framework="pt") as file:
             model.load_state_dict({key: file.get_tensor(key) for key in file.keys()})  # noqa: SIM118
     except (RuntimeError, SafetensorError) as error:
-        raise UserError(f"{path}: weights do not fit the model that its header names: {error}") from error
+        raise UserError(f"{path}: weights do not fit the model in its header: {error}") from error
     return model.to(device).eval()
 
 
 def save_model(model: AdaFusion, path: str | Path, card: Mapping[str, Any] | None = None) -> None:
-    """Write a model file atomically; `card` says where the weights come from (plain JSON values)."""
+    """Write a model file atomically; `card` (plain JSON values) says where the weights are from."""
     weights = {key: value.detach().cpu().contiguous() for key, value in model.state_dict().items()}
     header = {
         "format": FORMAT,

@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nested frozen dataclasses from a YAML file and `key.sub=value` overrides, and back."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+import cattrs
+import cattrs.v
+import yaml
+
+from adafusion.files import write_text
+from adafusion.types import UserError
+
+T = TypeVar("T")
+
+_CONVERTER = cattrs.Converter(forbid_extra_keys=True)
+
+
+def load_config(cls: type[T], path: str | Path | None = None, overrides: Sequence[str] = ()) -> T:
+    """Build the dataclass `cls` from its defaults, a YAML file, then `loss.margin=12.5` overrides.
+
+    Raises UserError, naming the file and the key, for a misspelt key, a value of the wrong type and
+    a value that the dataclass itself refuses.
+    """
+    values = {} if path is None else _read_yaml(Path(path))
+    for override in overrides:
+        _apply(values, override)
+    where = " ".join([*([str(path)] if path else []), *overrides]) or "defaults"
+    _refuse_unknown_keys(cls, values, where)
+    try:
+        return _CONVERTER.structure(values, cls)
+    except Exception as error:
+        messages = cattrs.transform_error(error, path=cls.__name__, format_exception=_explain)
+        raise UserError(f"{where}: {'; '.join(messages)}") from error
+
+
+def save_config(config: Any, path: str | Path) -> None:
+    """Write the effective configuration as YAML that `load_config` reads back to an equal value."""
+    write_text(path, dump_config(config))
+
+
+def dump_config(config: Any) -> str:
+    """Give a configuration dataclass as YAML text."""
+    plain = _CONVERTER.unstructure(asdict(config))
+    return yaml.safe_dump(_lists(plain), sort_keys=False, default_flow_style=None, width=88)
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise UserError(f"{path}: no such configuration file") from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise UserError(f"{path}: not readable as YAML: {error}") from error
+    if values is None:
+        return {}
+    if not isinstance(values, dict):
+        raise UserError(f"{path}: must hold `key: value` lines, not {type(values).__name__}")
+    return values
+
+
+def _apply(values: dict[str, Any], override: str) -> None:
+    key, equals, text = override.partition("=")
+    if not equals or not key:
+        raise UserError(f"override {override!r}: write key=value, as in loss.margin=12.5")
+    *groups, last = key.split(".")
+    for group in groups:
+        inner = values.setdefault(group, {})
+        if not isinstance(inner, dict):
+            raise UserError(f"override {override!r}: {group} is a value, not a group of keys")
+        values = inner
+    values[last] = yaml.safe_load(text)
+
+
+def _refuse_unknown_keys(cls: type, values: Mapping[str, Any], where: str, group: str = "") -> None:
+    """Say which key is unknown and which one was probably meant; types are checked elsewhere."""
+    known = get_type_hints(cls)
+    names = [f.name for f in fields(cls)]
+    for key, value in values.items():
+        if key not in names:
+            near = difflib.get_close_matches(str(key), names, n=1)
+            meant = f"did you mean {group}{near[0]}?" if near else f"choose from {', '.join(names)}"
+            raise UserError(f"{where}: unknown key {group}{key}; {meant}")
+        if is_dataclass(known[key]) and isinstance(value, Mapping):
+            _refuse_unknown_keys(known[key], value, where, f"{group}{key}.")
+
+
+def _explain(error: BaseException, kind: Any) -> str:
+    """What was wrong in the words of whoever refused it, a dataclass or a number's parser."""
+    said = isinstance(error, (ValueError, TypeError)) and str(error)
+    return str(error) if said else cattrs.v.format_exception(error, kind)
+
+
+def _lists(value: Any) -> Any:
+    """Tuples as lists: YAML has no tuples."""
+    if isinstance(value, dict):
+        return {key: _lists(inner) for key, inner in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_lists(inner) for inner in value]
+    return value

@@ -1,0 +1,440 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""The training loop, visible: a generator that yields what each batch did.
+
+    for step in train(config, data, validate, out):
+        print(step.batch, step.loss)
+
+Everything random is drawn from the seed and the batch's number, so a training that was killed and
+resumed does what the uninterrupted one would have done.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from adafusion.config import load_config, save_config
+from adafusion.files import atomic_path
+from adafusion.losses import (
+    active_share,
+    contrastive_softmax,
+    cosine_similarity,
+    pair_distance,
+    pair_margin,
+)
+from adafusion.models import AdaFusion, load_model, save_model, use_channels_last
+from adafusion.models.backbones import add_norms, fold_norms, initialise_he
+from adafusion.preprocess.augment import color_jitter, jitter_points
+from adafusion.preprocess.cache import PreparedSet
+from adafusion.preprocess.image import to_unit
+from adafusion.training.pairs import (
+    Batch,
+    Pairs,
+    epoch_rng,
+    find_pairs,
+    num_pair_batches,
+    num_place_batches,
+    pair_batches,
+    place_batches,
+)
+from adafusion.training.settings import Augment, Loss, Sampling, TrainConfig
+from adafusion.types import Description, JobFailed, UserError
+
+log = logging.getLogger(__name__)
+
+Validate = Callable[[AdaFusion], Mapping[str, float]]
+Points = Callable[[int], Float[np.ndarray, "n 3"]]
+
+MODEL_FILE = "model.safetensors"  # the best on validation, ready to use
+CONFIG_FILE = "train.yaml"
+STATE_FILE = "state.pt"  # where a resumed training goes on
+SELECTED_BY = "recall@1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """What one batch did. `validation` is None but after an evaluation."""
+
+    batch: int  # batches done
+    batches: int  # batches in all
+    loss: float
+    active: float  # share of pairs that have not met the margin
+    frames: int  # frame passes in this batch
+    seconds: float
+    learning_rate: float
+    validation: Mapping[str, float] | None = None
+    is_best: bool = False
+
+
+def train(
+    config: TrainConfig,
+    data: PreparedSet,
+    rows: Int[np.ndarray, " n"],
+    validate: Validate,
+    out: str | Path,
+    *,
+    points: Points | None = None,
+    resume: bool = False,
+    card: Mapping[str, Any] | None = None,
+    accelerator: str = "auto",
+    precision: str = "32-true",
+) -> Iterator[Step]:
+    """Train one phase on `rows` of `data`, yielding a `Step` after each batch.
+
+    `validate` maps a model in eval mode to numbers; its "recall@1" chooses the checkpoint kept as
+    `out/model.safetensors` and drives the plateau. `points` gives a row's raw cloud and is needed
+    for jitter alone. `resume` goes on from `out/state.pt`.
+
+    Raises UserError for a folder that holds another training, JobFailed when the loss is no number.
+    """
+    try:
+        from lightning.fabric import Fabric
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "training needs lightning: pip install 'adafusion[train]'"
+        ) from error
+
+    out = Path(out)
+    _claim(out, config, resume)
+    sampler = _Sampler(config.sampling, data, rows, config.seed)
+    batches = config.batches or config.epochs * sampler.batches_per_epoch
+
+    fabric = Fabric(accelerator=accelerator, devices=1, precision=precision)
+    model = build_model(config)
+    optimizer = torch.optim.Adam(
+        [p for p in model.parameters() if p.requires_grad],
+        lr=config.optimiser.learning_rate,
+        weight_decay=config.optimiser.weight_decay,
+    )
+    scheduler = _scheduler(config, optimizer, batches)
+    done, best = _restore(out, model, optimizer, scheduler) if resume else (0, -math.inf)
+    use_channels_last(model)
+    wrapped, optimizer = fabric.setup(model, optimizer)
+    model.train()
+
+    def evaluate() -> tuple[Mapping[str, float], bool]:
+        nonlocal best
+        values = validate(model.eval())
+        model.train()
+        if is_best := values[SELECTED_BY] > best:
+            best = values[SELECTED_BY]
+            save_model(
+                folded(model),
+                out / MODEL_FILE,
+                {**(card or {}), "batches": done, "validation": dict(values)},
+            )
+        return values, is_best
+
+    if done == 0:
+        values, _ = evaluate()  # the untrained twin: what training has to beat
+        yield Step(
+            batch=0,
+            batches=batches,
+            loss=math.nan,
+            active=math.nan,
+            frames=0,
+            seconds=0.0,
+            learning_rate=optimizer.param_groups[0]["lr"],
+            validation=values,
+        )
+    for batch in sampler.batches(first=done, count=batches - done):
+        start = time.perf_counter()
+        image, voxels = _inputs(model, data, batch, config.augment, points, (config.seed, done))
+        description = wrapped(fabric.to_device(image), fabric.to_device(voxels))
+        loss, active = batch_loss(description, batch, config.loss, softmax=done)
+        optimizer.zero_grad(set_to_none=True)
+        fabric.backward(loss)
+        value = loss.item()
+        if not math.isfinite(value):
+            raise JobFailed(
+                f"{out}: the loss of batch {done + 1} is {value}; lower optimiser.learning_rate, "
+                "or --resume from the last checkpoint with another seed"
+            )
+        learning_rate = optimizer.param_groups[0]["lr"]
+        optimizer.step()
+        done += 1
+        if config.optimiser.schedule == "cosine":
+            scheduler.step()
+        seconds = time.perf_counter() - start
+
+        validation: Mapping[str, float] | None = None
+        is_best = False
+        if done % config.evaluate_every == 0 or done == batches:
+            validation, is_best = evaluate()
+            if config.optimiser.schedule == "plateau":
+                scheduler.step(validation[SELECTED_BY])
+        if done % config.checkpoint_every == 0 or validation is not None:
+            _checkpoint(out, model, optimizer, scheduler, done, best)
+        yield Step(
+            batch=done,
+            batches=batches,
+            loss=value,
+            active=active,
+            frames=len(batch.rows),
+            seconds=seconds,
+            learning_rate=learning_rate,
+            validation=validation,
+            is_best=is_best,
+        )
+
+
+def build_model(config: TrainConfig) -> AdaFusion:
+    """Build the network that a training starts from, as a function of the configuration alone."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        model = AdaFusion(config.model)
+    if config.initialisation == "he":
+        generator = torch.Generator().manual_seed(config.seed)
+        for net in model.backbones:
+            initialise_he(net, generator)
+    for file in config.init:
+        take_branches(model, load_model(file))
+    if config.norms:
+        for net in model.backbones:
+            add_norms(net)
+    if config.stage == "weights":
+        model.freeze_backbones()
+    return model
+
+
+def take_branches(model: AdaFusion, source: AdaFusion) -> None:
+    """Copy the branches that `source` has into `model`."""
+    for name in ("image_net", "voxel_net"):
+        ours, theirs = getattr(model, name), getattr(source, name)
+        if ours is None or theirs is None:
+            continue
+        try:
+            ours.load_state_dict(theirs.state_dict())
+        except RuntimeError as error:
+            raise UserError(
+                f"the {name} of {source.name} is of another size than this training's: {error}"
+            ) from error
+
+
+def folded(model: AdaFusion) -> AdaFusion:
+    """Copy a network in training as the paper's network that it computes in eval mode."""
+    model = copy.deepcopy(model).eval()
+    for net in model.backbones:
+        fold_norms(net)
+    return model
+
+
+def batch_loss(
+    description: Description, batch: Batch, loss: Loss, softmax: int
+) -> tuple[Float[Tensor, ""], float]:
+    """Loss of a described batch, and the share of its pairs that have not met the fused margin.
+
+    `softmax` counts the batches done: below `loss.softmax_batches` the softmax is in force.
+    """
+    assert description.fused is not None
+    begin = softmax < loss.softmax_batches
+    parts = [(description.fused, 1.0)]
+    if (
+        loss.half_weight
+        and description.image_half is not None
+        and (description.lidar_half is not None)
+    ):
+        parts += [(description.image_half, loss.half_weight)]
+        parts += [(description.lidar_half, loss.half_weight)]
+
+    pair = torch.from_numpy(batch.pair).to(description.fused.device)
+    is_positive = torch.from_numpy(batch.is_positive).to(description.fused.device)
+    total = description.fused.sum() * 0.0
+    for descriptors, weight in parts:
+        margin, slack = loss.margins(descriptors.shape[1])
+        if begin:
+            term = _softmax_term(descriptors, pair, is_positive, loss, margin)
+        else:
+            term = pair_margin(pair_distance(descriptors, pair), is_positive, margin, slack)
+        total = total + weight * term
+    with torch.no_grad():
+        margins = loss.margins(description.fused.shape[1])
+        active = active_share(pair_distance(description.fused, pair), is_positive, *margins)
+    return total, active
+
+
+def _softmax_term(
+    descriptors: Float[Tensor, "b d"],
+    pair: Int[Tensor, "m 2"],
+    is_positive: Tensor,
+    loss: Loss,
+    margin: float,
+) -> Float[Tensor, ""]:
+    if loss.similarity == "cosine":
+        similarity = cosine_similarity(descriptors) / loss.temperature
+    else:
+        distance = (descriptors[:, None] - descriptors[None]).abs().sum(dim=2)
+        similarity = -distance / (loss.temperature * margin)
+    positive, negative = (torch.zeros_like(similarity, dtype=torch.bool) for _ in range(2))
+    for mask, chosen in ((positive, is_positive), (negative, ~is_positive)):
+        a, b = pair[chosen].T
+        mask[a, b] = mask[b, a] = True
+    return contrastive_softmax(similarity, positive, negative)
+
+
+class _Sampler:
+    """The endless order of batches, a function of the seed, entered at any batch."""
+
+    def __init__(
+        self, sampling: Sampling, data: PreparedSet, rows: Int[np.ndarray, " n"], seed: int
+    ) -> None:
+        self.sampling, self.rows, self.seed = sampling, rows, seed
+        self.runs = data.runs[rows]
+        self.pairs: Pairs = find_pairs(
+            data.positions[rows], data.worlds[rows], sampling.d_pos_m, sampling.d_neg_m
+        )
+        self.batches_per_epoch = (
+            num_pair_batches(self.pairs, sampling.items)
+            if sampling.mode == "pairs"
+            else num_place_batches(self.pairs, sampling.places, sampling.views)
+        )
+        log.info(
+            "%d frames, %d true pairs, %d wrong pairs, %d batches an epoch",
+            len(rows), len(self.pairs.positive), self.pairs.num_negatives, self.batches_per_epoch,
+        )  # fmt: skip
+
+    def batches(self, first: int, count: int) -> Iterator[Batch]:
+        """Yield `count` batches beginning with number `first`; their rows are those of the data."""
+        if count <= 0:
+            return
+        epoch, skip = divmod(first, max(1, self.batches_per_epoch))
+        while count > 0:
+            for batch in islice(self._epoch(epoch), skip, skip + count):
+                count -= 1
+                yield Batch(self.rows[batch.rows], batch.pair, batch.is_positive)
+            epoch, skip = epoch + 1, 0
+
+    def _epoch(self, epoch: int) -> Iterator[Batch]:
+        rng = epoch_rng(self.seed, epoch)
+        s = self.sampling
+        if s.mode == "pairs":
+            return pair_batches(self.pairs, s.items, rng)
+        return place_batches(self.pairs, s.places, s.views, rng, run=self.runs)
+
+
+def _inputs(
+    model: AdaFusion,
+    data: PreparedSet,
+    batch: Batch,
+    augment: Augment,
+    points: Points | None,
+    key: tuple[int, int],
+) -> tuple[Tensor | None, Tensor | None]:
+    """The augmented tensors of a batch, only those that the system looks at."""
+    image = voxels = None
+    if model.image_net is not None:
+        image = to_unit(data.images_u8(batch.rows))
+        if augment.color:
+            seed = int(np.random.SeedSequence(key).generate_state(1)[0])
+            c = augment.color
+            image = color_jitter(
+                image,
+                torch.Generator().manual_seed(seed),
+                brightness=c,
+                contrast=c,
+                saturation=c,
+            )
+        image = image.contiguous(memory_format=torch.channels_last)
+    if model.voxel_net is not None:
+        if augment.jitter_m and points is not None:
+            rng = np.random.default_rng(key)
+            voxels = torch.stack(
+                [
+                    data.settings.voxel_tensor(
+                        jitter_points(
+                            points(int(row)), rng, augment.jitter_m, augment.jitter_clip_m
+                        )
+                    )
+                    for row in batch.rows
+                ]
+            )
+        else:
+            voxels = data.voxels(batch.rows)
+        voxels = voxels.contiguous(memory_format=torch.channels_last_3d)
+    return image, voxels
+
+
+def _scheduler(config: TrainConfig, optimizer: torch.optim.Optimizer, batches: int) -> Any:
+    o = config.optimiser
+    if o.schedule == "plateau":
+        return torch.optim.lr_scheduler.ReduceLROnPlateau(
+            optimizer, mode="max", factor=o.factor, patience=o.patience
+        )
+
+    def share(batch: int) -> float:
+        rise = min(1.0, (batch + 1) / max(1, o.warmup))
+        return rise * 0.5 * (1.0 + math.cos(math.pi * min(1.0, batch / batches)))
+
+    return torch.optim.lr_scheduler.LambdaLR(optimizer, share)
+
+
+def _claim(out: Path, config: TrainConfig, resume: bool) -> None:
+    """Make `out` this training's folder, or see that it already is."""
+    has_state = (out / STATE_FILE).exists()
+    if resume and not has_state:
+        raise UserError(f"{out / STATE_FILE}: no such file; start without --resume")
+    if not resume and has_state:
+        raise UserError(f"{out} holds a training: give --resume to go on, or another folder")
+    out.mkdir(parents=True, exist_ok=True)
+    if resume and load_config(TrainConfig, out / CONFIG_FILE) != config:
+        raise UserError(
+            f"{out / CONFIG_FILE} differs from the configuration given now; resume with that file, "
+            "or train into another folder"
+        )
+    save_config(config, out / CONFIG_FILE)
+
+
+def _checkpoint(
+    out: Path,
+    model: AdaFusion,
+    optimizer: Any,
+    scheduler: Any,
+    done: int,
+    best: float,
+) -> None:
+    """Write weights, then the state that names them: a kill in between leaves the last pair."""
+    weights = f"weights-{done}.safetensors"
+    with atomic_path(out / weights) as temporary:
+        save_file(
+            {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}, temporary
+        )
+    state = {
+        "weights": weights,
+        "done": done,
+        "best": best,
+        "optimizer": optimizer.state_dict(),
+        "scheduler": {k: v for k, v in scheduler.state_dict().items() if not callable(v)},
+    }
+    with atomic_path(out / STATE_FILE) as temporary:
+        torch.save(state, temporary)
+    for old in out.glob("weights-*.safetensors"):
+        if old.name != weights:
+            old.unlink()
+
+
+def _restore(out: Path, model: AdaFusion, optimizer: Any, scheduler: Any) -> tuple[int, float]:
+    path = out / STATE_FILE
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        model.load_state_dict(load_file(out / state["weights"]))
+        optimizer.load_state_dict(state["optimizer"])
+        scheduler.load_state_dict(state["scheduler"])
+        return int(state["done"]), float(state["best"])
+    except Exception as error:
+        raise UserError(
+            f"{path}: cannot be resumed ({type(error).__name__}: {error}); train into a new folder"
+        ) from error

@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a training is: every choice, with the value it has when nobody chooses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+from adafusion.models import ModelConfig
+
+PAPER_LENGTH = 256  # numbers in the descriptor that the released margins were chosen for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampling:
+    """Which frames meet in a batch.
+
+    `pairs` is the paper's: `items` true pairs, each with one wrong pair. `batch` shows `places`
+    places in `views` frames each and lets every pair inside the batch count.
+    """
+
+    mode: Literal["pairs", "batch"] = "batch"
+    items: int = 16
+    places: int = 16
+    views: int = 2
+    d_pos_m: float = 10.0
+    d_neg_m: float = 50.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loss:
+    """Pair margin loss, perhaps after a softmax to begin with, perhaps on each half as well.
+
+    `margin` and `slack` are meant for a descriptor of 256 numbers and scale with its length, since
+    an L1 distance does.
+    """
+
+    margin: float = 25.0
+    slack: float = 1.0
+    softmax_batches: int = 0  # begin with the contrastive softmax for so many batches
+    similarity: Literal["cosine", "l1"] = "cosine"  # what that softmax compares
+    temperature: float = 0.1  # its temperature: in cosine, or as a share of the margin for l1
+    half_weight: float = 0.0  # weight of the same loss on each sensor's half alone
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.slack < self.margin:
+            raise ValueError(f"need 0 <= slack < margin, not {self.slack} and {self.margin}")
+        if self.temperature <= 0:
+            raise ValueError(f"temperature {self.temperature} must be positive")
+
+    def margins(self, length: int) -> tuple[float, float]:
+        """Margin and slack for a descriptor of `length` numbers."""
+        share = length / PAPER_LENGTH
+        return self.margin * share, self.slack * share
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optimiser:
+    """Adam, and how its rate falls.
+
+    `plateau` multiplies the rate by `factor` after `patience` evaluations without a better
+    validation recall@1 (the paper's); `cosine` rises for `warmup` batches, then falls to zero.
+    """
+
+    learning_rate: float = 8e-4
+    weight_decay: float = 0.0
+    schedule: Literal["plateau", "cosine"] = "plateau"
+    factor: float = 0.9
+    patience: int = 20
+    warmup: int = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class Augment:
+    """Changes that keep the place: 0 switches one off."""
+
+    color: float = 0.2  # brightness, contrast and saturation, each by up to this share
+    jitter_m: float = 0.0  # standard deviation of each point's shift; reads raw clouds, so slower
+    jitter_clip_m: float = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """One training, whole. `adafusion config show train` prints it; every key can be overridden."""
+
+    model: ModelConfig = field(default_factory=ModelConfig)
+    sampling: Sampling = field(default_factory=Sampling)
+    loss: Loss = field(default_factory=Loss)
+    optimiser: Optimiser = field(default_factory=Optimiser)
+    augment: Augment = field(default_factory=Augment)
+    seed: int = 0
+    epochs: int = 50
+    batches: int | None = None  # takes the place of `epochs`
+    evaluate_every: int = 2000  # batches
+    checkpoint_every: int = 500  # batches: what a killed training loses at most
+    initialisation: Literal["framework", "he"] = "framework"
+    norms: bool = False  # batch norm after every convolution, folded away in what is saved
+    init: tuple[str, ...] = ()  # model files whose branches this training starts from
+    stage: Literal["end-to-end", "weights"] = "end-to-end"  # weights: branches frozen
+    schedule: Literal["joint", "staged"] = "joint"  # staged: each branch alone, then together
+    branch_batches: int | None = None  # of each branch alone, where staged; default: as `batches`
+
+    def __post_init__(self) -> None:
+        if self.stage == "weights" and self.model.system != "adafusion":
+            raise ValueError(f"stage weights: {self.model.system} has no weight branch")
+        if self.stage == "weights" and not self.init and self.schedule == "joint":
+            raise ValueError("stage weights freezes the branches: name trained ones in init")
+        if self.schedule == "staged" and self.model.system not in ("adafusion", "concat"):
+            raise ValueError(f"schedule staged needs two branches; {self.model.system} is one")
+        if min(self.evaluate_every, self.checkpoint_every) < 1:
+            raise ValueError("evaluate_every and checkpoint_every count batches: at least 1")
+
+
+@dataclass(frozen=True)
+class Phase:
+    """One run of the training loop within a schedule."""
+
+    name: str
+    config: TrainConfig
+    out: Path
+
+
+def phases(config: TrainConfig, out: Path) -> list[Phase]:
+    """Unfold the schedule: `joint` is one phase; `staged` is three, the last from the first two."""
+    if config.schedule == "joint":
+        return [Phase(config.model.system, config, out)]
+    branches = [
+        Phase(
+            system,
+            replace(
+                config,
+                model=replace(config.model, system=system),
+                batches=config.branch_batches or config.batches,
+                schedule="joint",
+                stage="end-to-end",
+                init=(),
+            ),
+            out / system,
+        )
+        for system in ("image", "lidar")
+    ]
+    together = replace(
+        config,
+        schedule="joint",
+        init=tuple(str(phase.out / "model.safetensors") for phase in branches),
+        norms=False,  # the branches come with theirs folded
+        loss=replace(config.loss, softmax_batches=0),
+    )
+    return [*branches, Phase(config.model.system, together, out)]

@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import pytest
+
+from adafusion.config import load_config, save_config
+from adafusion.types import UserError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    lower: tuple[float, float] = (0.0, 0.0)
+    kind: Literal["floor", "round"] = "floor"
+
+    def __post_init__(self) -> None:
+        if self.lower[0] < 0:
+            raise ValueError("lower must not be negative")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    grid: Grid = field(default_factory=Grid)
+    rate: float = 1e-3
+    seed: int | None = None
+    init: tuple[str, ...] = ()
+
+
+def test_defaults_file_and_overrides_are_taken_in_that_order(tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text("rate: 1e-4\ngrid: {lower: [1, 2], kind: round}\n")
+    config = load_config(Config, path, ["grid.kind=floor", "seed=3", "init=[a, b]"])
+    expected = Config(grid=Grid(lower=(1.0, 2.0)), rate=1e-4, seed=3, init=("a", "b"))
+    assert config == expected
+
+
+def test_what_is_saved_reads_back_equal(tmp_path: Path) -> None:
+    config = Config(grid=Grid(lower=(1.5, 2.0), kind="round"), seed=3, init=("a",))
+    save_config(config, tmp_path / "c.yaml")
+    assert load_config(Config, tmp_path / "c.yaml") == config
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("grid: {knid: floor}", r"grid\.knid; did you mean grid\.kind"),
+        ("lr: 1", "unknown key lr"),
+        ("rate: fast", "rate"),
+        ("grid: {kind: ceil}", "kind"),
+        ("grid: {lower: [-1, 0]}", "lower must not be negative"),
+        ("grid: {lower: [1]}", "lower"),
+        ("- a", "key: value"),
+        ("a: [", "YAML"),
+    ],
+)
+def test_a_mistake_is_named_with_its_file(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "wrong.yaml"
+    path.write_text(text)
+    with pytest.raises(UserError, match=message) as error:
+        load_config(Config, path)
+    assert "wrong.yaml" in str(error.value)
+
+
+def test_a_missing_file_and_a_malformed_override_are_named(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no such"):
+        load_config(Config, tmp_path / "absent.yaml")
+    with pytest.raises(UserError, match="key=value"):
+        load_config(Config, None, ["rate"])
