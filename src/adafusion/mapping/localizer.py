@@ -108,9 +108,7 @@ class Localizer:
             k=min(self.k, len(self.place_map)),
             p=self.place_map.header.p,
         )
-        alpha = (
-            None if query.alpha is None else (float(query.alpha[0, 0]), float(query.alpha[0, 1]))
-        )
+        alpha = query.alpha
         return Answer(
             places=tuple(
                 self._place(int(row), float(distance))
@@ -122,16 +120,18 @@ class Localizer:
 
     def _choose(self, given: list[str]) -> tuple[tuple[str, ...], str]:
         """Which of the given sensors the map can use, and the part of a description to compare."""
-        parts = self.place_map.parts
-        known = [name for name in SENSORS if f"{name}_half" in parts] or list(SENSORS)
+        halves = [name for name in SENSORS if f"{name}_half" in self.place_map.parts]
+        known = halves or list(SENSORS)  # a system without halves needs both sensors
         used = tuple(name for name in given if name in known)
         if used == tuple(known):
             return used, "fused"  # of a system with one sensor: its half
-        if len(used) == 1 and f"{used[0]}_half" in parts:
+        if len(used) == 1 and halves:
             return used, f"{used[0]}_half"
+        words = {"image": "an image", "lidar": "a cloud"}
+        needed = (" or " if halves else " and ").join(words[name] for name in known)
+        has = " and ".join(words[name] for name in given) or "neither"
         raise UserError(
-            f"model {self.place_map.header.model!r} needs {' or '.join(known)}, "
-            f"and the query has {' and '.join(given) or 'neither image nor cloud'}"
+            f"model {self.place_map.header.model!r} needs {needed}; the query has {has}"
         )
 
     def _place(self, row: int, distance: float) -> Place:
