@@ -167,7 +167,7 @@ def read_cloud(path: str | Path) -> Float32[np.ndarray, "n 3"]:
             points = np.load(file, allow_pickle=False)
     except FileNotFoundError:
         raise UserError(f"{path} is missing: {_REPLACE.format('cloud')}") from None
-    except (OSError, ValueError, EOFError) as error:
+    except Exception as error:  # a damaged header is parsed as Python, and fails as anything
         raise UserError(f"{path} is damaged ({error}): {_REPLACE.format('cloud')}") from error
     if points.dtype != np.float32 or points.ndim != 2 or points.shape[1] != 3:
         raise UserError(
@@ -254,7 +254,13 @@ def _read_info(root: Path) -> tuple[DatasetInfo, dict[str, int]]:
             raise UserError(f"{path}: {key} is no {kind.__name__}: {values[key]!r}; mend the entry")
     counts = {str(run): count for run, count in values["runs"].items()}
     try:
-        return DatasetInfo(**{key: values[key] for key in _INFO_TYPES}), counts
+        regions = {
+            name: [[float(edge) for edge in box] for box in boxes]
+            for name, boxes in values["regions"].items()
+        }
+        return DatasetInfo(
+            **{key: values[key] for key in _INFO_TYPES} | {"regions": regions}
+        ), counts
     except (ValueError, TypeError) as error:
         raise UserError(f"{path}: {error}; mend the entry") from error
 
@@ -263,7 +269,8 @@ def _read_run(root: Path, run: str, count: int) -> list[Frame]:
     path = _table(root, run)
     remedy = f"restore it, or prepare {root} again"
     try:
-        table = pq.read_table(path).cast(_SCHEMA)
+        table = pq.read_table(path, page_checksum_verification=True).cast(_SCHEMA)
+        images, clouds, zones = (table[name].to_pylist() for name in ("image", "cloud", "zone"))
     except FileNotFoundError:
         raise UserError(f"{path} is missing: {remedy}") from None
     except (pa.ArrowException, OSError, ValueError) as error:
@@ -288,7 +295,6 @@ def _read_run(root: Path, run: str, count: int) -> list[Frame]:
         raise UserError(f"{path}: T_world_body of frame {bad} is no rigid motion: {remedy}")
     if not np.allclose(poses[known, :3, 3], positions[known], atol=1e-3):
         raise UserError(f"{path}: positions and poses disagree: {remedy}")
-    images, clouds, zones = (table[name].to_pylist() for name in ("image", "cloud", "zone"))
     for name in (*images, *clouds):
         if name is not None and (Path(name).is_absolute() or ".." in Path(name).parts):
             raise UserError(f"{path}: {name} lies outside the dataset: {remedy}")
@@ -352,7 +358,12 @@ def write_image(
 def write_cloud(
     folder: str | Path, run: str, timestamp_us: int, points_body: Float[np.ndarray, "n 3"]
 ) -> str:
-    """Write a cloud given in the body frame, metres, as float32; return its relative name."""
+    """Write a cloud given in the body frame, metres, as float32; return its relative name.
+
+    ValueError where it is empty or not finite: a LiDAR that saw nothing has no cloud, so None.
+    """
+    if len(points_body) == 0 or not np.isfinite(points_body).all():
+        raise ValueError(f"the cloud of {run}/{timestamp_us} is empty or not finite")
     name = f"{run}/clouds/{timestamp_us}.npy"
     with atomic_path(Path(folder) / name) as temporary:
         np.save(temporary, points_body.astype(np.float32, copy=False), allow_pickle=False)
@@ -448,7 +459,7 @@ class DatasetWriter:
         self._remove_strays()
         for run, frames in runs.items():
             with atomic_path(_table(self.folder, run)) as temporary:
-                pq.write_table(_to_table(frames), temporary)
+                pq.write_table(_to_table(frames), temporary, write_page_checksum=True)
         counts = {run: len(frames) for run, frames in runs.items()}
         write_text(self.folder / "dataset.yaml", _to_yaml(self.info, counts))
         open_dataset(self.folder)  # nothing takes the name of a dataset that cannot be opened
