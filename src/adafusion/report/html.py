@@ -22,7 +22,9 @@ from adafusion.report.data import AlphaTrace, Estimate, ProtocolFacts, ReportDat
 log = logging.getLogger(__name__)
 
 IMAGE_WIDTH_PX = 400  # a picture in a report is looked at, not measured
-RECOLOR = {plots.INK: "var(--ink)", plots.FAINT: "var(--faint)"}  # what a dark page must turn over
+# what a dark page turns over or brightens: the style sheet of the template says how
+COLORS = ("INK", "FAINT", "IMAGE", "LIDAR", "RIGHT", "WRONG")
+RECOLOR = {getattr(plots, name): f"var(--{name.lower()})" for name in COLORS}
 
 
 def write_report(path: str | Path, data: ReportData) -> Path:
@@ -69,9 +71,7 @@ def render(data: ReportData) -> str:
         headline=headline,
         colors=plots.system_colors(s.name for s in data.systems),
         recolor=RECOLOR,
-        palette={
-            name.lower(): getattr(plots, name) for name in ("IMAGE", "LIDAR", "RIGHT", "WRONG")
-        },
+        palette={name.lower(): getattr(plots, name) for name in COLORS},
         who_may_answer=who_may_answer(data.protocol),
         mean_alpha=mean_alpha(data.alpha),
         recall_chart=chart(

@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from itertools import cycle, groupby
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
@@ -35,21 +36,20 @@ IMAGE, LIDAR = "#e69f00", "#0072b2"
 RIGHT, WRONG = "#009e73", "#d55e00"
 SYSTEMS = {"image": IMAGE, "lidar": LIDAR, "concat": "#cc79a7", "adafusion": INK}
 SPARE = ("#56b4e9", "#8a6d1f", "#7b5ea7", "#6b7280", "#a3333d")
-ZONES = ("#7b5ea7", "#56b4e9", "#8a6d1f", "#6b7280", "#cc79a7", "#009e73")
 
-WIDE, HALF = 10.8, 5.2  # inches: the width of a page, and of a chart with a neighbour
+WIDE, HALF = 9.4, 4.6  # inches: the width of a page, and of a chart with a neighbour
 MANY = 3000  # marks from which a picture is smaller than their outlines
 STYLE = {
     "font.family": ["sans-serif"],
     "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib, so the layout is the same anywhere
-    "font.size": 10.0,
+    "font.size": 9.0,
     "text.color": INK,
     "axes.labelcolor": INK,
     "axes.edgecolor": FAINT,
     "axes.facecolor": "none",
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.titlesize": 10.5,
+    "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
     "axes.titleweight": "bold",
     "axes.grid": True,
@@ -78,7 +78,7 @@ def system_colors(names: Iterable[str]) -> dict[str, str]:
 def recall_curve(systems: Sequence[SystemResult]) -> Figure:
     """Recall@N of each system, in percent over N, its interval as a band."""
     with _style():
-        figure, (axes,) = _figure(WIDE, 4.2)
+        figure, (axes,) = _figure(WIDE, 3.7)
         colors = system_colors(system.name for system in systems)
         for system in sorted(systems, key=lambda system: -float(system.recall[0])):
             n, color = np.arange(1, len(system.recall) + 1), colors[system.name]
@@ -108,7 +108,7 @@ def route(view: RouteView) -> Figure:
         origin = _near_origin(view.database_xy_m)
         database, query = view.database_xy_m - origin, view.query_xy_m - origin
         wide, high = np.ptp(np.concatenate([database, query]), axis=0) + 10.0
-        figure, (axes,) = _figure(HALF, 0.9 + float(np.clip(5.0 * high / wide, 2.4, 6.0)))
+        figure, (axes,) = _figure(HALF, 0.9 + float(np.clip(4.4 * high / wide, 2.0, 5.5)))
         asked = np.ones(len(query), bool) if view.is_answerable is None else view.is_answerable
         right, wrong = asked & view.is_hit, asked & ~view.is_hit
 
@@ -147,7 +147,7 @@ def alpha_along_route(traces: Sequence[AlphaTrace]) -> Figure:
     The commonest kind stays white.
     """
     with _style():
-        figure, panels = _figure(WIDE, 0.9 + 1.9 * len(traces), rows=len(traces))
+        figure, panels = _figure(WIDE, 0.9 + 1.6 * len(traces), rows=len(traces))
         common, tints = _zone_tints(traces)
         for axes, trace in zip(panels, traces, strict=True):
             for zone, first, last in zone_bands(trace):
@@ -180,7 +180,7 @@ def alpha_along_route(traces: Sequence[AlphaTrace]) -> Figure:
 def distance_histogram(pairs: PairDistances, *, unit: str = "L1") -> Figure:
     """Descriptor distances of pairs at the same place and of pairs apart, each summing to 100 %."""
     with _style():
-        figure, (axes,) = _figure(HALF, 3.4)
+        figure, (axes,) = _figure(HALF, 3.0)
         edges = np.histogram_bin_edges(np.concatenate([pairs.true, pairs.wrong]), bins=40)
         for name, values, color in (
             ("apart", pairs.wrong, WRONG),
@@ -199,23 +199,24 @@ def distance_histogram(pairs: PairDistances, *, unit: str = "L1") -> Figure:
 
 
 def birds_eye(
-    points_body: Float[np.ndarray, "n 3"], *, reach_m: float = 20.0, size_px: int = 240
+    points_body: Float[np.ndarray, "n 3"], *, reach_m: float = 20.0, size_px: int = 160
 ) -> UInt8[np.ndarray, "size size 3"]:
-    """The cloud from above, RGB: forward is up, dark is low, bright is high (0 to 5 m).
+    """The highest point of each cell seen from above, RGB: forward is up, left is left.
 
-    The vehicle stands in the middle, the side is `2 * reach_m`. Points outside are not shown.
+    The vehicle stands in the middle, a side is `2 * reach_m`; points outside are not shown. Blue is
+    the ground, yellow is 4 m and more above it, black is where nothing was seen.
     """
     finite = points_body[np.isfinite(points_body).all(axis=1)]
-    row, column = np.floor((reach_m - finite[:, :2].T) / (2 * reach_m) * size_px).astype(np.int64)
-    inside = (row >= 0) & (row < size_px) & (column >= 0) & (column < size_px)
-    row, column, z = row[inside], column[inside], finite[inside, 2]
-    height = np.full((size_px, size_px), -np.inf)
-    np.maximum.at(height, (row, column), z)
-    shade = _matplotlib("cm").ScalarMappable(cmap="cividis")
-    shade.set_clim(0.0, 5.0)
-    seen = np.isfinite(height)
-    picture = np.full((size_px, size_px, 3), (20, 23, 31), np.uint8)
-    picture[seen] = shade.to_rgba(height[seen], bytes=True)[:, :3]
+    cell = np.floor((reach_m - finite[:, :2]) / (2 * reach_m) * size_px)
+    inside = ((cell >= 0) & (cell < size_px)).all(axis=1)
+    row, column = cell[inside].astype(np.int64).T
+    height_m = np.full((size_px, size_px), -np.inf)
+    np.maximum.at(height_m, (row, column), finite[inside, 2])
+    seen = np.isfinite(height_m)
+    shade = 0.3 + 0.7 * np.clip(height_m[seen] / 4.0, 0.0, 1.0)  # lower shades drown in the black
+    picture = np.full((size_px, size_px, 3), (16, 18, 24), np.uint8)
+    bgr = cv2.applyColorMap((255 * shade).astype(np.uint8), cv2.COLORMAP_CIVIDIS)
+    picture[seen] = bgr[:, 0, ::-1]
     return picture
 
 
@@ -293,7 +294,7 @@ def _zone_tints(traces: Sequence[AlphaTrace]) -> tuple[str | None, dict[str, str
     """The commonest kind of place, and a tint for each other one."""
     count = Counter(zone for trace in traces for zone in trace.zones if zone is not None)
     common = max(sorted(count), key=lambda zone: count[zone], default=None)
-    return common, dict(zip(sorted(count.keys() - {common}), cycle(ZONES), strict=False))
+    return common, dict(zip(sorted(count.keys() - {common}), cycle(SPARE), strict=False))
 
 
 def _gaps(along_m: Float[np.ndarray, " n"]) -> Int[np.ndarray, " g"]:
