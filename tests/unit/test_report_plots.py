@@ -103,6 +103,15 @@ def test_forward_is_up_and_left_is_left_in_a_birds_eye_view() -> None:
     ]
 
 
+def test_the_highest_point_of_a_cell_colours_a_birds_eye_view() -> None:
+    def color(*heights: float) -> list[int]:
+        return plots.birds_eye(np.array([[1.0, 1.0, z] for z in heights]))[76, 76].tolist()
+
+    assert color(0.0, 3.0, 1.0) == color(3.0)
+    assert color(0.0)[2] > color(0.0)[0]  # blue ground
+    assert color(9.0)[0] > color(9.0)[2]  # yellow roofs
+
+
 def test_drawing_leaves_the_settings_of_matplotlib_alone() -> None:
     import matplotlib
 

@@ -60,7 +60,7 @@ def render(data: ReportData) -> str:
         "points": points,
         "jpeg": jpeg,
         "birds_eye": lambda cloud: png(plots.birds_eye(cloud)),
-        "breadth": lambda image: min(image.shape[1] / image.shape[0], 1.8),  # of a cloud's square
+        "breadth": lambda image: min(image.shape[1] / image.shape[0], 2.2),  # of a cloud's square
         "arrow": lambda text: text.replace("->", " → "),
         "count": lambda number: f"{number:,}".replace(",", "\u202f"),
     }

@@ -213,11 +213,9 @@ def birds_eye(
     height_m = np.full((size_px, size_px), -np.inf)
     np.maximum.at(height_m, (row, column), finite[inside, 2])
     seen = np.isfinite(height_m)
-    shade = 0.3 + 0.7 * np.clip(height_m[seen] / 4.0, 0.0, 1.0)  # lower shades drown in the black
-    picture = np.full((size_px, size_px, 3), (16, 18, 24), np.uint8)
+    shade = 0.3 + 0.7 * np.clip(height_m / 4.0, 0.0, 1.0)  # lower shades drown in the black
     bgr = cv2.applyColorMap((255 * shade).astype(np.uint8), cv2.COLORMAP_CIVIDIS)
-    picture[seen] = bgr[:, 0, ::-1]
-    return picture
+    return np.where(seen[..., None], bgr[..., ::-1], np.uint8(16))
 
 
 def zone_bands(trace: AlphaTrace) -> list[tuple[str, float, float]]:
