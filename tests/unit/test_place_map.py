@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
@@ -144,10 +145,13 @@ def test_it_refuses_what_is_no_map(tmp_path: Path) -> None:
     file.write_text("hello")
     folder.mkdir()
     lancedb.connect(table).create_table("places", pa.table({"key": ["a"]}))
+    before = bytes_of(table)
     for path in (file, folder, table):
-        with pytest.raises(UserError, match=rf"{path.name} is not a map"):
-            PlaceMap.open(path)
+        for use in (PlaceMap.open, info, compact):
+            with pytest.raises(UserError, match=rf"{path.name} is not a map"):
+                use(path)
     assert list(folder.iterdir()) == []
+    assert bytes_of(table) == before
 
 
 @pytest.mark.parametrize("lost", ["_versions", "data"])
@@ -155,7 +159,7 @@ def test_it_names_a_damaged_map(tmp_path: Path, lost: str) -> None:
     path = tmp_path / "campus.map"
     make_run().save(path)
     shutil.rmtree(path / "places.lance" / lost)
-    with pytest.raises(UserError, match=r"campus\.map is damaged .* restore it"):
+    with pytest.raises(UserError, match=r"campus\.map cannot be read .* restore it"):
         PlaceMap.open(path)
 
 
@@ -163,7 +167,7 @@ def test_it_names_a_map_cut_short(tmp_path: Path) -> None:
     make_run().save(tmp_path / "campus.map")
     (data,) = (tmp_path / "campus.map" / "places.lance" / "data").iterdir()
     data.write_bytes(data.read_bytes()[: data.stat().st_size // 2])
-    with pytest.raises(UserError, match=r"campus\.map is damaged .* restore it"):
+    with pytest.raises(UserError, match=r"campus\.map cannot be read .* restore it"):
         PlaceMap.open(tmp_path / "campus.map")
 
 
@@ -171,7 +175,7 @@ def test_it_refuses_a_format_it_does_not_know(tmp_path: Path) -> None:
     header = json.dumps({"format": 99, **asdict(make_run().header)})
     table = pa.table({"key": ["a"]}).replace_schema_metadata({"adafusion": header})
     lancedb.connect(tmp_path / "new.map").create_table("places", table)
-    with pytest.raises(UserError, match=r"new\.map has format 99"):
+    with pytest.raises(UserError, match=r"new\.map is a map of format 99"):
         PlaceMap.open(tmp_path / "new.map")
 
 
@@ -182,6 +186,19 @@ def test_it_saves_over_nothing(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"campus\.map exists"):
         make_run("night").save(path)
     assert bytes_of(path) == before
+
+
+def test_it_says_where_it_cannot_write(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(UserError, match=r"campus\.map cannot be written .*check free space"):
+        make_run().save(tmp_path / "file" / "campus.map")
+
+
+def test_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "lancedb", None)
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'adafusion\[map\]'"):
+        make_run().save(tmp_path / "campus.map")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_it_leaves_nothing_behind_when_saving_fails(
@@ -199,8 +216,10 @@ def test_it_leaves_nothing_behind_when_saving_fails(
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"model": "b"}, "model 'b' instead of 'a'"),
-        ({"model_fingerprint": "bbbb"}, "model fingerprint 'bbbb' instead of 'aaaa'"),
+        (
+            {"model": "b", "model_fingerprint": "bbbb"},
+            "'b' do not fit: model fingerprint 'bbbb' instead of 'aaaa'",
+        ),
         ({"preprocess_fingerprint": "qqqq"}, "preprocess fingerprint 'qqqq' instead of 'pppp'"),
         ({"synthetic": False}, "synthetic False instead of True"),
         ({"p": 2}, "p 2 instead of 1"),
@@ -213,9 +232,17 @@ def test_it_refuses_places_made_another_way(
     make_run("day").save(path)
     before = bytes_of(path)
     night = make_run("night")
-    with pytest.raises(UserError, match=rf"campus\.map: .*{reason}"):
+    with pytest.raises(UserError, match=rf"campus\.map is a map of model 'a', .*{reason}"):
         PlaceMap.append(path, replace(night, header=replace(night.header, **changes)))
     assert bytes_of(path) == before
+
+
+def test_it_cares_about_what_a_model_computes_and_not_about_its_name(tmp_path: Path) -> None:
+    path = tmp_path / "campus.map"
+    make_run("day").save(path)
+    night = make_run("night")
+    PlaceMap.append(path, replace(night, header=replace(night.header, model="copy of a")))
+    assert PlaceMap.open(path).header.model == "a"
 
 
 @pytest.mark.parametrize("other", [without_alpha(make_run("night")), make_run("night", dim=8)])
@@ -223,7 +250,7 @@ def test_it_refuses_places_with_other_columns(tmp_path: Path, other: PlaceMap) -
     path = tmp_path / "campus.map"
     make_run("day").save(path)
     before = bytes_of(path)
-    with pytest.raises(UserError, match=r"do not fit this map: columns"):
+    with pytest.raises(UserError, match=r"do not fit: columns"):
         PlaceMap.append(path, other)
     assert bytes_of(path) == before
 

@@ -16,7 +16,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
@@ -32,7 +32,10 @@ from adafusion.types import Descriptions, Frame, UserError
 FORMAT = 1  # of the table; raised when an older reader would misread it
 TABLE = "places"
 HEADER_KEY = b"adafusion"
-DAMAGED = ("is damaged", "restore it from a copy or build it again")
+UNREADABLE = (
+    "cannot be read",
+    "check its permissions; if it is damaged, restore it from a copy or build it again",
+)
 UNWRITABLE = ("cannot be written", "check free space and permissions")
 
 
@@ -40,7 +43,7 @@ UNWRITABLE = ("cannot be written", "check free space and permissions")
 class MapHeader:
     """What all places of a map share, and a run or query must share to be compared with them."""
 
-    model: str
+    model: str = field(compare=False)  # for messages: the fingerprint decides
     model_fingerprint: str
     preprocess_fingerprint: str
     synthetic: bool  # simulated places; a map never mixes them with real ones
@@ -51,11 +54,11 @@ class MapHeader:
             raise ValueError(f"p {self.p} must be 1 or 2")
 
     def differences(self, other: MapHeader) -> list[str]:
-        """Say where `other` departs from this header: "model 'b' instead of 'a'"."""
+        """Say where `other` departs from this header: "p 2 instead of 1"."""
         return [
-            f"{field.name.replace('_', ' ')} {theirs!r} instead of {ours!r}"
-            for field in fields(self)
-            if (ours := getattr(self, field.name)) != (theirs := getattr(other, field.name))
+            f"{f.name.replace('_', ' ')} {theirs!r} instead of {ours!r}"
+            for f in fields(self)
+            if f.compare and (ours := getattr(self, f.name)) != (theirs := getattr(other, f.name))
         ]
 
 
@@ -176,9 +179,8 @@ class PlaceMap:
 
         Raises UserError where there is no map, or a damaged or newer one; creates nothing.
         """
-        table = _open_table(path)
-        header = _header_of(table, path)
-        with _blaming(path, *DAMAGED):
+        table, header = _open_table(path)
+        with _blaming(path, *UNREADABLE):
             return _from_arrow(table.to_arrow(), header)
 
     def save(self, path: str | Path) -> None:
@@ -192,7 +194,7 @@ class PlaceMap:
         with _blaming(path, *UNWRITABLE):
             path.parent.mkdir(parents=True, exist_ok=True)
             partial = Path(
-                tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
+                tempfile.mkdtemp(prefix=f"{path.name}.", suffix=".partial", dir=path.parent)
             )
             try:
                 whole = partial / "map"  # a level below, as mkdtemp makes its folder private
@@ -209,14 +211,15 @@ class PlaceMap:
         Raises UserError where there is no map, where `addition` was made by another model or
         preprocessing, or where the map has one of its keys already.
         """
-        table = _open_table(path)
-        differences = _header_of(table, path).differences(addition.header)
+        table, header = _open_table(path)
+        differences = header.differences(addition.header)
         rows = _to_arrow(addition)
         if not differences and rows.schema != table.schema:
             differences = [f"columns {_columns(rows.schema)} instead of {_columns(table.schema)}"]
         if differences:
             raise UserError(
-                f"{path}: these places do not fit this map: {'; '.join(differences)}. "
+                f"{path} is a map of model {header.model!r}, which places of model "
+                f"{addition.header.model!r} do not fit: {'; '.join(differences)}. "
                 "Describe them with the map's model and settings, or build a map of their own"
             )
         with _blaming(path, *UNWRITABLE), _only_writer(path):
@@ -248,6 +251,7 @@ class MapInfo:
 
 def info(path: str | Path) -> MapInfo:
     """Read what the map at `path` holds. Raises as `PlaceMap.open` does."""
+    table, _ = _open_table(path)
     place_map = PlaceMap.open(path)
     lower, upper = place_map.positions_m.min(axis=0), place_map.positions_m.max(axis=0)
     return MapInfo(
@@ -259,7 +263,7 @@ def info(path: str | Path) -> MapInfo:
         dims={name: part.shape[1] for name, part in place_map.parts.items()},
         lower_m=(float(lower[0]), float(lower[1]), float(lower[2])),
         upper_m=(float(upper[0]), float(upper[1]), float(upper[2])),
-        versions=len(_open_table(path).list_versions()),
+        versions=len(table.list_versions()),
         bytes_on_disk=sum(f.stat().st_size for f in Path(path).rglob("*") if f.is_file()),
     )
 
@@ -270,7 +274,7 @@ def compact(path: str | Path, keep: timedelta = timedelta(hours=1)) -> None:
     The content stays as it is. A process that is just opening the map may still be reading an
     older state, so `keep` should exceed the time that takes. Raises as `PlaceMap.open` does.
     """
-    table = _open_table(path)
+    table, _ = _open_table(path)
     with _blaming(path, *UNWRITABLE):
         table.optimize(cleanup_older_than=keep)
 
@@ -360,29 +364,25 @@ def _lancedb() -> Any:
     return lancedb
 
 
-def _open_table(path: str | Path) -> Any:
-    """Open the table of places; to ask first matters: LanceDB creates the folder it is sent to."""
-    path = Path(path)
+def _open_table(path: str | Path) -> tuple[Any, MapHeader]:
+    """Open the table of places and read its header, touching nothing that is no map."""
+    path = Path(path)  # to look first matters: LanceDB creates the folder it is sent to
     if not path.exists():
         raise UserError(f"{path}: there is no such map; check the path, or build the map first")
     if not (path / f"{TABLE}.lance").is_dir():
         raise UserError(f"{path} is not a map: it holds no table of places; check the path")
-    with _blaming(path, *DAMAGED):
-        return _lancedb().connect(path).open_table(TABLE)
-
-
-def _header_of(table: Any, path: str | Path) -> MapHeader:
-    metadata = table.schema.metadata or {}
-    if HEADER_KEY not in metadata:
-        raise UserError(f"{path} is not a map of adafusion; check the path")
-    values = json.loads(metadata[HEADER_KEY])
-    written = values.pop("format")
-    if written != FORMAT:
-        raise UserError(
-            f"{path} has format {written}, and this version of adafusion reads {FORMAT}; "
-            "use the version that wrote it, or build the map again"
-        )
-    return MapHeader(**values)
+    with _blaming(path, *UNREADABLE):
+        table = _lancedb().connect(path).open_table(TABLE)
+        header = json.loads((table.schema.metadata or {}).get(HEADER_KEY, "{}"))
+        found = header.pop("format", None)
+        if found == FORMAT:
+            return table, MapHeader(**header)
+    if found is None:
+        raise UserError(f"{path} is not a map: its table was not made by adafusion; check the path")
+    raise UserError(
+        f"{path} is a map of format {found}, and this version of adafusion reads {FORMAT}; "
+        "use the version that wrote it, or build the map again"
+    )
 
 
 @contextmanager
