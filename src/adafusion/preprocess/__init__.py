@@ -87,7 +87,7 @@ def _plain(value: object) -> object:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _build(cls: type[S], values: Mapping[str, Any], where: str) -> S:
+def _build(cls: type[S], values: object, where: str) -> S:
     """Make the settings dataclass `cls`, and those inside it, from nested plain values."""
     if not isinstance(values, Mapping):
         raise ValueError(f"{where} must hold named settings, not {values!r}")

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -45,10 +46,9 @@ class ImageSettings:
     crop: Crop = field(default_factory=Crop)
 
     def __post_init__(self) -> None:
-        height, width = self.size
-        if height < 1 or width < 1:
-            raise ValueError(f"image size {self.size} (height, width) must be positive")
-        object.__setattr__(self, "size", (int(height), int(width)))
+        object.__setattr__(self, "size", tuple(operator.index(n) for n in self.size))
+        if len(self.size) != 2 or min(self.size) < 1:
+            raise ValueError(f"image size {self.size} must be a positive (height, width)")
 
 
 def resize(

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import dataclass
 from typing import Literal, no_type_check
 
@@ -21,20 +22,20 @@ class VoxelGrid:
     """An axis-aligned box in the body frame, cut into `shape` equal cells.
 
     `index` says which cell a point p falls in, per axis, with u = (p - lower) * shape / (upper -
-    lower); the point counts when 0 <= cell < shape, and a point that is not finite never does.
+    lower); it counts where 0 <= cell < shape. A point that is not finite falls in none.
 
     * `floor`: cell = floor(u), so a cell owns its lower face.
-    * `round`: cell = u rounded half to even, as the released code does; that moves the whole grid
-      by half a cell towards `lower_m`. For weights that were trained so.
+    * `round`: cell = u rounded half to even, as in the released code, which moves every cell down
+      by half its size; for weights that were trained so.
 
     `occupancy` says what a cell holds, always in [0, 1]:
 
     * `binary`: 1 where at least one point fell, else 0 (the paper's).
-    * `count`: log(1 + min(n, 15)) / log(16) of the n points in the cell.
+    * `count`: log(1 + min(n, 15)) / log(16) for the n points that fell in the cell.
     * `soft`: every point shares a weight of 1 among the 8 cells whose centres surround it,
-      trilinearly; a cell holds min(1, sum of its shares). Shares that fall outside are lost.
-    * `tdf`: truncated distance field, 1 - min(d, t) / t, with d the distance in metres between this
-      cell's centre and that of the nearest occupied cell, and t twice the longest edge of a cell.
+      trilinearly, and a cell holds min(1, sum of its shares); shares beyond the box are lost.
+    * `tdf`, a truncated distance field: 1 - min(d, t) / t, with d the distance in metres from this
+      cell's centre to that of the nearest occupied cell, and t twice the longest edge of a cell.
       An empty cloud is 0 everywhere.
     """
 
@@ -48,13 +49,16 @@ class VoxelGrid:
         # equal grids must be equal as text too, for fingerprints: 20 is 20.0 and -0.0 is 0.0
         object.__setattr__(self, "lower_m", tuple(float(v) + 0.0 for v in self.lower_m))
         object.__setattr__(self, "upper_m", tuple(float(v) + 0.0 for v in self.upper_m))
-        object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
-        if not all(map(math.isfinite, self.lower_m + self.upper_m)) or any(
-            hi <= lo for lo, hi in zip(self.lower_m, self.upper_m, strict=True)
+        object.__setattr__(self, "shape", tuple(operator.index(n) for n in self.shape))
+        if not len(self.lower_m) == len(self.upper_m) == len(self.shape) == 3:
+            raise ValueError("lower_m, upper_m and shape of a voxel grid need three values each")
+        if not all(
+            -math.inf < lo < hi < math.inf
+            for lo, hi in zip(self.lower_m, self.upper_m, strict=True)
         ):
             raise ValueError(f"upper_m {self.upper_m} must exceed lower_m {self.lower_m}")
-        if len(self.shape) != 3 or min(self.shape) < 1:
-            raise ValueError(f"grid shape {self.shape} must be three positive numbers of cells")
+        if min(self.shape) < 1:
+            raise ValueError(f"grid shape {self.shape} must be positive numbers of cells")
         if self.index not in ("floor", "round"):
             raise ValueError(f"unknown voxel index {self.index!r}; choose floor or round")
         if self.occupancy not in ("binary", "count", "soft", "tdf"):
