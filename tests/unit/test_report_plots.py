@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from adafusion.report import AlphaTrace, PairDistances, RouteView, SystemResult, plots
+from adafusion.report import AlphaTrace, Estimate, PairDistances, RouteView, SystemResult, plots
 
 
 def trace(along_m: list[float], zones: tuple[str | None, ...] = ()) -> AlphaTrace:
@@ -40,9 +40,9 @@ def test_a_system_keeps_its_colour_whoever_stands_beside_it() -> None:
 
 
 def test_recall_is_drawn_in_percent() -> None:
-    result = SystemResult(name="lidar", recall=np.array([0.5, 0.75]))
+    result = SystemResult(name="lidar", recall={5: Estimate(0.75), 1: Estimate(0.5)})
     (line,) = plots.recall_curve([result]).axes[0].lines
-    np.testing.assert_allclose(line.get_xydata(), [[1, 50], [2, 75]])
+    np.testing.assert_allclose(line.get_xydata(), [[1, 50], [5, 75]])
 
 
 def test_a_route_counts_hits_misses_and_queries_left_out() -> None:
@@ -116,7 +116,9 @@ def test_drawing_leaves_the_settings_of_matplotlib_alone() -> None:
     import matplotlib
 
     before = {name: matplotlib.rcParams[name] for name in plots.STYLE}
-    plots.to_svg(plots.recall_curve([SystemResult(name="lidar", recall=np.ones(3))]), label="x")
+    plots.to_svg(
+        plots.recall_curve([SystemResult(name="lidar", recall={1: Estimate(1.0)})]), label="x"
+    )
     assert {name: matplotlib.rcParams[name] for name in plots.STYLE} == before
 
 

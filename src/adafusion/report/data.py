@@ -15,57 +15,37 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Estimate:
-    """A measured number and, where known, the two ends of its 95 % interval."""
+    """A measured number and, where known, its 95 % interval."""
 
     value: float
-    low: float | None = None
-    high: float | None = None
+    interval: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SystemResult:
-    """How well one system found places. `recall[k - 1]` is recall@k, a fraction."""
+    """How well one system found places."""
 
     name: str  # "adafusion", "image", "lidar", "concat", ... also decides the colour
-    recall: Float[np.ndarray, " n"]
-    recall_low: Float[np.ndarray, " n"] | None = None  # 95 % interval of each entry of `recall`
-    recall_high: Float[np.ndarray, " n"] | None = None
+    recall: Mapping[int, Estimate]  # recall@N by N, fractions; 1 is among the N
     recall_at_1_percent: Estimate | None = None  # AR@1%: among the best 1 % of the database
     gap: Estimate | None = None  # recall@1 of the headline system minus this one's, paired
     fingerprint: str = ""  # of the model file
     note: str = ""  # one remark for the table, "2.1 M parameters"
 
     def __post_init__(self) -> None:
-        if (self.recall_low is None) != (self.recall_high is None):
-            raise ValueError(f"{self.name}: give both ends of the interval of recall, or neither")
-        for values in (self.recall, self.recall_low, self.recall_high):
-            if values is not None and (
-                values.shape != self.recall.shape or not ((values >= 0) & (values <= 1)).all()
-            ):
-                raise ValueError(f"{self.name}: recall holds fractions in [0, 1], one for each N")
-
-    def recall_at(self, k: int) -> Estimate | None:
-        """recall@k with its interval, None where the curve does not reach k."""
-        if k > len(self.recall):
-            return None
-        if self.recall_low is None or self.recall_high is None:
-            return Estimate(value=float(self.recall[k - 1]))
-        return Estimate(
-            value=float(self.recall[k - 1]),
-            low=float(self.recall_low[k - 1]),
-            high=float(self.recall_high[k - 1]),
-        )
+        if 1 not in self.recall or not all(0 <= e.value <= 1 for e in self.recall.values()):
+            raise ValueError(f"{self.name}: recall holds fractions in [0, 1] by N, and that of N=1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SplitCount:
     """How many frames asked and how many could answer in one split of the protocol."""
 
-    name: str  # "day->night"
-    queries: int  # counted in recall
-    left_out: int  # without a true match, so nobody could be right
+    name: str  # "night->day": night's queries asked of day's database
+    queries: int
+    left_out: int  # of these queries: without a true match, so nobody could be right
     database: int
 
 
@@ -74,7 +54,7 @@ class ProtocolFacts:
     """The evaluation protocol. A recall without these means nothing."""
 
     name: str  # "cross-run"
-    words: str  # one or two sentences: where queries and database come from
+    words: str  # what asks what, what a true match is, how splits become one number
     radius_m: float
     distance: str  # between descriptors, "L1"
     splits: tuple[SplitCount, ...] = ()
@@ -88,7 +68,7 @@ class RouteView:
     """Where the queries of one split were taken, and which of them were answered rightly."""
 
     system: str
-    split: str
+    split: str  # "night->day"
     database_xy_m: Float[np.ndarray, "n 2"]
     query_xy_m: Float[np.ndarray, "q 2"]
     is_hit: Bool[np.ndarray, " q"]  # top-1 within the radius
@@ -129,7 +109,7 @@ class Candidate:
     rank: int  # 1 is the best
     distance: float  # between the descriptors
     away_m: float  # between the places
-    image_share: float | None = None  # of the distance, in [0, 1]; the LiDAR has the rest
+    image_share: float | None = None  # of the distance, in [0, 1]; the rest is the LiDAR's
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -77,7 +77,7 @@ def render(data: ReportData) -> str:
         recall_chart=chart(
             plots.recall_curve(data.systems),
             "Recall at N in percent, one curve a system: "
-            + ", ".join(f"{s.name} {percent(s.recall[0])} at 1" for s in data.systems),
+            + ", ".join(f"{s.name} {percent(s.recall[1].value)} at 1" for s in data.systems),
         ),
         routes=[
             (
@@ -120,9 +120,10 @@ def percent(fraction: float) -> str:
 
 def interval(estimate: Estimate) -> str:
     """The 95 % interval of a fraction, in percent: `78.1-86.0`; empty where none is known."""
-    if estimate.low is None or estimate.high is None:
+    if estimate.interval is None:
         return ""
-    return f"{100 * estimate.low:.1f}\u2013{100 * estimate.high:.1f}"
+    low, high = estimate.interval
+    return f"{100 * low:.1f}\u2013{100 * high:.1f}"
 
 
 def points(difference: float) -> str:
@@ -131,15 +132,14 @@ def points(difference: float) -> str:
 
 
 def who_may_answer(protocol: ProtocolFacts) -> str:
-    """Which frames of the database a query may be answered with, as a sentence."""
+    """Which frames of the database a query may be answered with."""
     if protocol.exclude_query_run:
-        return "Any frame of the database may answer, except those of the query's own run."
+        return "every frame of the database except those of the query's own run"
     if protocol.exclude_self:
         return (
-            "Any frame of the database may answer, except the query itself; "
-            "its neighbours in its own run may."
+            "every frame of the database except the query itself; its neighbours in its own run may"
         )
-    return "Any frame of the database may answer."
+    return "every frame of the database"
 
 
 def mean_alpha(traces: tuple[AlphaTrace, ...]) -> list[dict[str, Any]]:

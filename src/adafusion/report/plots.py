@@ -80,19 +80,20 @@ def recall_curve(systems: Sequence[SystemResult]) -> Figure:
     with _style():
         figure, (axes,) = _figure(WIDE, 3.7)
         colors = system_colors(system.name for system in systems)
-        for system in sorted(systems, key=lambda system: -float(system.recall[0])):
-            n, color = np.arange(1, len(system.recall) + 1), colors[system.name]
-            if system.recall_low is not None and system.recall_high is not None:
-                low, high = 100 * system.recall_low, 100 * system.recall_high
-                axes.fill_between(n, low, high, color=color, alpha=0.13, linewidth=0)
-            label = f"{system.name}  {100 * system.recall[0]:.1f} %"
+        for system in sorted(systems, key=lambda system: -system.recall[1].value):
+            n, color = sorted(system.recall), colors[system.name]
+            known = [k for k in n if system.recall[k].interval is not None]
+            if known:
+                low, high = 100 * np.transpose([system.recall[k].interval for k in known])
+                axes.fill_between(known, low, high, color=color, alpha=0.13, linewidth=0)
+            percent = [100 * system.recall[k].value for k in n]
             marks: dict[str, Any] = {"marker": "o", "markersize": 3.5} if len(n) <= 30 else {}
-            axes.plot(n, 100 * system.recall, color=color, linewidth=1.9, label=label, **marks)
-        longest = max(len(system.recall) for system in systems)
-        ticks = [n for n in (1, 5, 10, 15, 20, 25, 50, 100) if n <= longest]
-        axes.set_xticks(ticks)
+            label = f"{system.name}  {percent[0]:.1f} %"
+            axes.plot(n, percent, color=color, linewidth=1.9, label=label, **marks)
+        longest = max(max(system.recall) for system in systems)
+        axes.set_xticks([n for n in (1, 5, 10, 15, 20, 25, 50, 100) if n <= longest])
         axes.set_xlim(1 - 0.02 * longest, 1.02 * longest)
-        axes.set_ylim(0, 101)
+        axes.set_ylim(0, 101)  # lines at 100 % keep their width
         axes.set_xlabel("N, number of candidates looked at")
         axes.set_ylabel("recall@N (%)")
         figure.legend(title="recall@1", alignment="left", loc="outside right upper")
@@ -112,27 +113,23 @@ def route(view: RouteView) -> Figure:
         asked = np.ones(len(query), bool) if view.is_answerable is None else view.is_answerable
         right, wrong = asked & view.is_hit, asked & ~view.is_hit
 
+        size = min(1.0, (400 / (len(query) + 1)) ** 0.5)  # thousands of marks must not be a blot
+        draw: dict[str, Any] = {"rasterized": len(database) + len(query) > MANY}
+
         def mark(where: Float[np.ndarray, "n 2"], marker: str, label: str, **look: Any) -> None:
-            many = len(database) + len(query) > MANY
-            axes.plot(*where.T, marker, label=label, rasterized=many, **look)
+            look["markersize"] *= size
+            axes.plot(*where.T, marker, label=label, **look, **draw)
 
         mark(database, "o", "database", color=FAINT, alpha=0.3, markersize=6, markeredgewidth=0)
         if view.top1_xy_m is not None and wrong.any():
             ways = np.stack([query[wrong], view.top1_xy_m[wrong] - origin])  # (2, misses, 2)
-            strength = float(np.clip(10 / wrong.sum(), 0.12, 0.5))  # many lines hide the map
-            axes.plot(*ways.transpose(2, 0, 1), color=WRONG, linewidth=0.8, alpha=strength)
+            strength = float(np.clip(10 / wrong.sum(), 0.03, 0.5))  # many lines hide the map
+            axes.plot(*ways.transpose(2, 0, 1), color=WRONG, linewidth=0.8, alpha=strength, **draw)
         if not asked.all():
             label = f"left out ({(~asked).sum()})"
             mark(query[~asked], "o", label, color=FAINT, markerfacecolor="none", markersize=5)
         mark(query[right], "o", f"hit ({right.sum()})", color=RIGHT, markersize=4)
-        mark(
-            query[wrong],
-            "x",
-            f"miss ({wrong.sum()})",
-            color=WRONG,
-            markersize=5,
-            markeredgewidth=1.6,
-        )
+        mark(query[wrong], "x", f"miss ({wrong.sum()})", color=WRONG, markersize=5, mew=1.6 * size)
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_title(f"{view.system}, {view.split}".replace("->", " → "))
         for axis, name, value in zip((axes.xaxis, axes.yaxis), "xy", origin, strict=True):
@@ -155,11 +152,12 @@ def alpha_along_route(traces: Sequence[AlphaTrace]) -> Figure:
                     axes.axvspan(first, last, color=tints[zone], alpha=0.18, linewidth=0)
             gaps = _gaps(trace.along_m)  # a line must not pretend to have seen what lies between
             along = np.insert(trace.along_m, gaps, np.nan)
+            width = 1.5 if len(along) < 600 else 0.7
             for label, color, weight in zip(
                 ("image", "LiDAR"), (IMAGE, LIDAR), trace.alpha.T, strict=True
             ):
                 weight = np.insert(weight, gaps, np.nan)
-                axes.plot(along, weight, color=color, linewidth=1.5, label=label)
+                axes.plot(along, weight, color=color, linewidth=width, label=label)
             axes.set_ylim(0, 1)
             axes.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0", "", "0.5", "", "1"])
             axes.set_ylabel("weight α")
@@ -180,7 +178,7 @@ def alpha_along_route(traces: Sequence[AlphaTrace]) -> Figure:
 def distance_histogram(pairs: PairDistances, *, unit: str = "L1") -> Figure:
     """Descriptor distances of pairs at the same place and of pairs apart, each summing to 100 %."""
     with _style():
-        figure, (axes,) = _figure(HALF, 3.0)
+        figure, (axes,) = _figure(HALF, 3.2)
         edges = np.histogram_bin_edges(np.concatenate([pairs.true, pairs.wrong]), bins=40)
         for name, values, color in (
             ("apart", pairs.wrong, WRONG),
@@ -194,7 +192,7 @@ def distance_histogram(pairs: PairDistances, *, unit: str = "L1") -> Figure:
         axes.set_xlabel(f"descriptor distance ({unit})")
         axes.set_ylabel("share of the pairs (%)")
         axes.set_ylim(bottom=0)
-        axes.legend(loc="upper right")
+        figure.legend(loc="outside lower center", ncols=2)
         return figure
 
 
