@@ -12,8 +12,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Literal
 
 import numpy as np
@@ -162,6 +164,16 @@ cache.prepare_cache(town, t.settings(), {str(tmp_path)!r}, workers=1)
         assert (resumed.folder / name).read_bytes() == (whole.folder / name).read_bytes()
 
 
+def test_two_builders_of_the_same_cache_take_turns(tmp_path: Path) -> None:
+    town = world(12)
+    town.seconds = 0.005
+    with ThreadPoolExecutor(2) as pool:
+        one, two = [pool.submit(prepare_cache, town, settings(), tmp_path) for _ in range(2)]
+        rows = np.arange(12)
+        assert torch.equal(one.result().voxels(rows), two.result().voxels(rows))
+    assert len(town.loads) == 12
+
+
 def test_a_frame_that_cannot_be_read_stops_it_and_leaves_no_whole_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -213,8 +225,6 @@ def test_refuses_a_damaged_index(tmp_path: Path) -> None:
 def test_refuses_a_full_disk_before_it_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from types import SimpleNamespace
-
     monkeypatch.setattr(cache.shutil, "disk_usage", lambda _: SimpleNamespace(free=100))
     with pytest.raises(UserError, match="make room"):
         prepare_cache(world(4), settings(), tmp_path)
