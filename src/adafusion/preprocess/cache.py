@@ -19,6 +19,7 @@ from __future__ import annotations
 import io
 import json
 import logging
+import math
 import os
 import shutil
 import zlib
@@ -245,6 +246,9 @@ def prepare_cache(
     call goes on from the last checkpoint. Two processes that need the same cache take turns.
     `workers` are threads, as decoding, resizing and voxelising leave the interpreter free.
 
+    A cache follows `dataset.fingerprint`: it does not notice what that does not, such as a raw file
+    overwritten by another of the same size.
+
     Raises UserError for a frame that cannot be read, a full disk, or a damaged cache.
     """
     if workers < 1:
@@ -268,6 +272,8 @@ def _build(
 ) -> None:
     done, rows_crc = _read_index(folder)  # again: another process may have built it meanwhile
     n = len(dataset.frames)
+    if done == n:
+        return
     layout = _layout(n, settings)
     row_bytes = sum(_row_bytes(shape, dtype) for shape, dtype in layout.values())
     needed, free = (n - done) * row_bytes, shutil.disk_usage(folder).free
@@ -276,7 +282,7 @@ def _build(
             f"{folder} needs {needed / 1e9:.1f} GB and its disk has {free / 1e9:.1f} GB left: "
             "make room or choose another cache folder"
         )
-    if 0 < done < n:
+    if done:
         log.info("%s: going on after %d of %d frames", folder, done, n)
 
     def prepare(frame: Frame) -> dict[str, bytes]:
@@ -290,7 +296,7 @@ def _build(
         }
         pool = stack.enter_context(ThreadPoolExecutor(workers))
         rows = _in_order(pool, prepare, dataset.frames[done:], ahead=2 * workers)
-        for row in progress(rows, total=n - done, desc=f"preparing {dataset.root.name}"):
+        for row in progress(rows, total=n - done, desc=f"preparing {dataset.root.resolve().name}"):
             for name, file in files.items():
                 file.write(row[name])
             rows_crc = zlib.crc32(row["rows"], rows_crc)
@@ -344,17 +350,19 @@ def _in_order(
 def _layout(n: int, settings: Preprocess) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
     """Shape and dtype of each file's array."""
     grid = settings.voxels
-    empty = voxelize(np.empty((0, 3), np.float32), grid)
-    cells = pack(empty) if grid.occupancy == "binary" else empty
+    packed = (math.ceil(math.prod(grid.shape) / 8),)
     return {
         "images": ((n, *settings.image.size, 3), np.dtype(np.uint8)),
-        "voxels": ((n, *cells.shape), cells.dtype),
+        "voxels": (
+            (n, *(packed if grid.occupancy == "binary" else grid.shape)),
+            np.dtype(np.uint8 if grid.occupancy in ("binary", "count") else np.float16),
+        ),
         "rows": ((n,), _ROW),
     }
 
 
 def _row_bytes(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:
-    return int(np.prod(shape[1:], dtype=np.int64)) * dtype.itemsize
+    return math.prod(shape[1:]) * dtype.itemsize
 
 
 @contextmanager
@@ -409,7 +417,7 @@ def _open(folder: Path, frames: tuple[Frame, ...], settings: Preprocess) -> Prep
         if array.shape != shape or array.dtype != dtype:
             raise _damaged(path, f"{array.dtype} {array.shape} instead of {dtype} {shape}")
         arrays[name] = np.asarray(array)
-    rows = arrays.pop("rows").copy()
+    rows = arrays.pop("rows")
     if (n, _crc(rows)) != _read_index(folder):
         raise _damaged(folder / "rows.npy", "wrong checksum")
     checked = {name: np.zeros(n, np.bool_) for name in arrays}
