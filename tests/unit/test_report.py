@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -147,9 +148,19 @@ def full() -> ReportData:
     )
 
 
-def test_a_report_is_well_formed_and_says_what_was_measured(tmp_path: Path) -> None:
-    path = write_report(tmp_path / "new" / "report.html", full())
-    page = Page(path.read_text(encoding="utf-8"))
+@pytest.fixture(scope="module")
+def html() -> str:
+    return render(full())
+
+
+def test_a_report_is_one_whole_file(tmp_path: Path) -> None:
+    path = write_report(str(tmp_path / "new" / "report.html"), bare())
+    assert path.read_text(encoding="utf-8") == render(bare())
+    assert [file.name for file in path.parent.iterdir()] == ["report.html"]
+
+
+def test_a_report_is_well_formed_and_says_what_was_measured(html: str) -> None:
+    page = Page(html)
     for words in (
         "adafusion names the right place first 50.0 % of the time",
         "(95 % interval 40.0–60.0 %)",
@@ -169,8 +180,7 @@ def test_a_report_is_well_formed_and_says_what_was_measured(tmp_path: Path) -> N
         assert words in page.text
 
 
-def test_a_report_asks_nothing_of_the_network(tmp_path: Path) -> None:
-    html = write_report(tmp_path / "report.html", full()).read_text(encoding="utf-8")
+def test_a_report_asks_nothing_of_the_network(html: str) -> None:
     page = Page(html)
     for tag, attributes in page.tags:
         assert tag not in {"script", "iframe", "object"}
@@ -181,19 +191,19 @@ def test_a_report_asks_nothing_of_the_network(tmp_path: Path) -> None:
     assert all(address.startswith("#") for address in re.findall(r"url\((.*?)\)", html))
 
 
-def test_no_two_elements_share_an_id() -> None:
-    ids = [attributes["id"] for _, attributes in Page(render(full())).tags if "id" in attributes]
+def test_no_two_elements_share_an_id(html: str) -> None:
+    ids = [attributes["id"] for _, attributes in Page(html).tags if "id" in attributes]
     assert len(ids) == len(set(ids))
 
 
-def test_every_picture_has_words_for_who_cannot_see_it() -> None:
-    tags = Page(render(full())).tags
+def test_every_picture_has_words_for_who_cannot_see_it(html: str) -> None:
+    tags = Page(html).tags
     assert all(attributes.get("alt") for tag, attributes in tags if tag == "img")
     assert all(attributes.get("aria-label") for tag, attributes in tags if tag == "svg")
 
 
-def test_the_same_data_make_the_same_page() -> None:
-    assert render(full()) == render(full())
+def test_the_same_data_make_the_same_page(html: str) -> None:
+    assert render(full()) == html
 
 
 def test_a_report_without_extras_shows_only_the_recall() -> None:
@@ -209,6 +219,20 @@ def test_words_from_outside_stay_words() -> None:
     html = render(bare(title="<script>alert(1)</script>", dataset="a & b"))
     assert "<script" not in html
     assert "a &amp; b" in html
+
+
+def test_names_of_runs_may_hold_anything() -> None:
+    trace = AlphaTrace(
+        system="a&b", run="$夜$ <1>", along_m=np.arange(3.0), alpha=np.full((3, 2), 0.5)
+    )
+    page = Page(render(bare(alpha=(trace,))))
+    assert page.text.count("$夜$ <1>") == 2  # in the table and in the chart
+
+
+def test_without_jinja_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    with pytest.raises(ModuleNotFoundError, match=r"adafusion\[report\]"):
+        render(bare())
 
 
 def test_an_unknown_headline_is_refused() -> None:

@@ -12,9 +12,11 @@ from __future__ import annotations
 import importlib
 import io
 import re
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from html import escape
 from itertools import cycle, groupby
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -65,7 +67,7 @@ STYLE = {
     "savefig.facecolor": "none",
     "legend.frameon": False,
     "svg.fonttype": "none",  # words stay words: they can be searched, read aloud and recoloured
-    "svg.image_inline": True,
+    "text.parse_math": False,  # a dollar in a name is a dollar
 }
 
 
@@ -113,7 +115,8 @@ def route(view: RouteView) -> Figure:
         asked = np.ones(len(query), bool) if view.is_answerable is None else view.is_answerable
         right, wrong = asked & view.is_hit, asked & ~view.is_hit
 
-        size = min(1.0, (400 / (len(query) + 1)) ** 0.5)  # thousands of marks must not be a blot
+        # thousands of marks must not run into one blot
+        size = float(np.clip((400 / (len(query) + 1)) ** 0.5, 0.3, 1.0))
         draw: dict[str, Any] = {"rasterized": len(database) + len(query) > MANY}
 
         def mark(where: Float[np.ndarray, "n 2"], marker: str, label: str, **look: Any) -> None:
@@ -134,7 +137,13 @@ def route(view: RouteView) -> Figure:
         axes.set_title(f"{view.system}, {view.split}".replace("->", " → "))
         for axis, name, value in zip((axes.xaxis, axes.yaxis), "xy", origin, strict=True):
             axis.set_label_text(f"{name} − {value:.0f} (m)" if value else f"{name} (m)")
-        figure.legend(loc="outside lower center", ncols=4, handletextpad=0.3, columnspacing=1.2)
+        figure.legend(
+            loc="outside lower center",
+            ncols=4,
+            markerscale=1 / size,
+            handletextpad=0.3,
+            columnspacing=1.2,
+        )
         return figure
 
 
@@ -248,7 +257,9 @@ def to_svg(figure: Figure, *, label: str, recolor: Mapping[str, str] | None = No
     buffer = io.StringIO()
     # ids must differ between figures of one page, and be the same when the same page is made again
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-    with _style({"svg.hashsalt": label}):
+    with _style({"svg.hashsalt": label}), warnings.catch_warnings():
+        # words stay words, so the reader's browser finds the letters that our font has not
+        warnings.filterwarnings("ignore", message="Glyph")
         figure.savefig(buffer, format="svg", metadata=nothing, dpi=160)
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :]
@@ -256,8 +267,7 @@ def to_svg(figure: Figure, *, label: str, recolor: Mapping[str, str] | None = No
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*" height="[^"]*"|(<svg)', r"\1\2", svg, count=1)
     for color, name in (recolor or {}).items():
         svg = svg.replace(color, name)
-    quoted = label.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
-    return svg.replace("<svg", f'<svg role="img" aria-label="{quoted}"', 1)
+    return svg.replace("<svg", f'<svg role="img" aria-label="{escape(label)}"', 1)
 
 
 def _matplotlib(module: str) -> Any:
@@ -271,7 +281,8 @@ def _matplotlib(module: str) -> Any:
 
 @contextmanager
 def _style(more: Mapping[str, object] | None = None) -> Iterator[None]:
-    with _matplotlib("style").context({**STYLE, **(more or {})}):
+    # from the defaults, so that nobody's own matplotlibrc changes a report
+    with _matplotlib("style").context(["default", {**STYLE, **(more or {})}]):
         yield
 
 
