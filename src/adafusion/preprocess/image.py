@@ -76,6 +76,5 @@ def resize(
 
 def to_unit(images: UInt8[Tensor, "*b h w 3"]) -> Float[Tensor, "*b 3 h w"]:
     """Bytes to float32, channels first: x / 127.5 - 1, so 0 gives -1 and 255 gives 1 exactly."""
-    channels_first = images.movedim(-1, -3)
-    unit = channels_first.to(torch.float32, memory_format=torch.contiguous_format)
-    return unit.div_(127.5).sub_(1.0)
+    channels_first = images.movedim(-1, -3).contiguous()  # while it is bytes, a quarter of the size
+    return channels_first.to(torch.float32).div_(127.5).sub_(1.0)
