@@ -221,6 +221,14 @@ def test_words_from_outside_stay_words() -> None:
     assert "a &amp; b" in html
 
 
+def test_an_answer_that_is_the_true_match_is_shown_once() -> None:
+    found = full().retrievals[0].top1
+    hit = replace(full().retrievals[0], true=found, is_hit=True)
+    page = Page(render(bare(retrievals=(hit,))))
+    assert "The answer is the true match." in page.text
+    assert page.text.count("rank 1,") == 1
+
+
 def test_names_of_runs_may_hold_anything() -> None:
     trace = AlphaTrace(
         system="a&b", run="$夜$ <1>", along_m=np.arange(3.0), alpha=np.full((3, 2), 0.5)

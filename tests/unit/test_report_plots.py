@@ -39,6 +39,10 @@ def test_a_system_keeps_its_colour_whoever_stands_beside_it() -> None:
     assert len(set(among.values())) == 3
 
 
+def test_two_sizes_of_a_system_side_by_side_differ_in_colour() -> None:
+    assert len(set(plots.system_colors(["adafusion", "adafusion-s"]).values())) == 2
+
+
 def test_recall_is_drawn_in_percent() -> None:
     result = SystemResult(name="lidar", recall={5: Estimate(0.75), 1: Estimate(0.5)})
     (line,) = plots.recall_curve([result]).axes[0].lines
@@ -85,6 +89,11 @@ def test_zone_bands_meet_half_way_between_frames() -> None:
 def test_weights_are_not_drawn_where_no_frame_was() -> None:
     (line, _) = plots.alpha_along_route([trace([0.0, 1.0, 2.0, 30.0, 31.0])]).axes[0].lines
     np.testing.assert_array_equal(line.get_xdata(), [0, 1, 2, np.nan, 30, 31])
+
+
+def test_standing_still_opens_no_gap() -> None:
+    (line, _) = plots.alpha_along_route([trace([0.0, 0.0, 0.0, 0.0, 1.0, 2.0])]).axes[0].lines
+    np.testing.assert_array_equal(line.get_xdata(), [0, 0, 0, 0, 1, 2])
 
 
 def test_a_histogram_gives_each_kind_of_pair_100_percent() -> None:

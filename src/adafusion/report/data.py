@@ -109,7 +109,8 @@ class Candidate:
     rank: int  # 1 is the best
     distance: float  # between the descriptors
     away_m: float  # between the places
-    image_share: float | None = None  # of the distance, in [0, 1]; the rest is the LiDAR's
+    image_share: float | None = None  # of the distance, in [0, 1], the rest is the LiDAR's;
+    # None for one sensor, and for a distance of 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +120,7 @@ class Retrieval:
     system: str
     query: SeenPlace
     top1: Candidate
-    true: Candidate | None  # the best ranked true match; None where that is unknown
+    true: Candidate | None  # a true match, the best ranked or the nearest; None: unknown
     is_hit: bool
 
 

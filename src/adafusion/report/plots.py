@@ -72,9 +72,12 @@ STYLE = {
 
 
 def system_colors(names: Iterable[str]) -> dict[str, str]:
-    """The colour of each system; the size in a name does not matter (`adafusion-s`)."""
-    spare = cycle(SPARE)
-    return {name: SYSTEMS.get(name.removesuffix("-s")) or next(spare) for name in names}
+    """The colour of each system; a small one (`adafusion-s`) has that of its large kin if free."""
+    spare, colors = cycle(SPARE), dict[str, str]()
+    for name in names:
+        own = SYSTEMS.get(name.removesuffix("-s"))
+        colors[name] = own if own and own not in colors.values() else next(spare)
+    return colors
 
 
 def recall_curve(systems: Sequence[SystemResult]) -> Figure:
@@ -305,6 +308,7 @@ def _zone_tints(traces: Sequence[AlphaTrace]) -> tuple[str | None, dict[str, str
 
 
 def _gaps(along_m: Float[np.ndarray, " n"]) -> Int[np.ndarray, " g"]:
-    """Rows before which frames are missing: steps of five usual ones."""
+    """Rows before which frames are missing: steps of five usual ones, standing still not counted."""
     step = np.diff(along_m)
-    return np.flatnonzero(step > 5 * np.median(step)) + 1 if len(step) else np.zeros(0, np.int64)
+    usual = np.median(step[step > 0]) if (step > 0).any() else 0.0
+    return np.flatnonzero(step > 5 * usual) + 1
