@@ -270,7 +270,7 @@ def test_it_finds_each_place_of_a_map_made_by_the_network_itself(system: str) ->
         for image, points in zip(images, clouds, strict=True)
     ]
     place_map = PlaceMap.from_descriptions(
-        [Frame(run="day", timestamp_us=i, position_m=(i, 0.0, 0.0)) for i in range(3)],
+        [Frame(run="day", timestamp_us=i, position_m=(float(i), 0.0, 0.0)) for i in range(3)],
         describe(model, batches),
         model_name=model.name,
         model_fingerprint=model.fingerprint,
