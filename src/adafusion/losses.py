@@ -13,7 +13,7 @@ from torch import Tensor
 def pair_distance(
     descriptors: Float[Tensor, "b d"], pair: Int[Tensor, "m 2"]
 ) -> Float[Tensor, " m"]:
-    """L1 distance of each pair of rows; 1e-6 is added to every difference, as in the released code."""
+    """L1 distance of each pair of rows, 1e-6 added to each difference as the released code does."""
     a, b = descriptors[pair[:, 0]], descriptors[pair[:, 1]]
     return (a - b + 1e-6).abs().sum(dim=1)
 

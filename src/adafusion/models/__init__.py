@@ -3,7 +3,12 @@
 """Networks that describe a place, their files, and the gate from tensors back to arrays."""
 
 from adafusion.models.adafusion import AdaFusion, ModelConfig
-from adafusion.models.describe import describe, use_channels_last
+from adafusion.models.describe import (
+    describe,
+    frame_batches,
+    prepared_batches,
+    use_channels_last,
+)
 from adafusion.models.released import import_released
 from adafusion.models.store import SHIPPED, load_model, read_header, save_model
 
@@ -12,8 +17,10 @@ __all__ = [
     "AdaFusion",
     "ModelConfig",
     "describe",
+    "frame_batches",
     "import_released",
     "load_model",
+    "prepared_batches",
     "read_header",
     "save_model",
     "use_channels_last",

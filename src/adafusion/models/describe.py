@@ -4,21 +4,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 import torch
+from jaxtyping import Int
 from torch import Tensor, nn
 
 from adafusion.models.adafusion import AdaFusion
-from adafusion.types import Description, Descriptions
+from adafusion.preprocess.cache import PreparedFrames, PreparedSet
+from adafusion.types import Description, Descriptions, Frame, Observation, UserError
+
+Inputs = tuple[Tensor | None, Tensor | None]  # image (B, 3, H, W), voxels (B, 1, X, Y, Z)
 
 
 @torch.inference_mode()
-def describe(
-    model: AdaFusion, batches: Iterable[tuple[Tensor | None, Tensor | None]]
-) -> Descriptions:
-    """Describe (image (B, 3, H, W), voxels (B, 1, X, Y, Z)) batches, one row a frame.
+def describe(model: AdaFusion, batches: Iterable[Inputs]) -> Descriptions:
+    """Describe batches of tensors, one row a frame.
 
     The model is left in the mode it was in. A part that the system does not have is None.
     """
@@ -32,6 +34,48 @@ def describe(
     if not parts:
         raise ValueError("no batch to describe")
     return Descriptions(*(_stack(parts, i) for i in range(len(Description._fields))))
+
+
+def frame_batches(
+    model: AdaFusion,
+    frames: Sequence[Frame],
+    load: Callable[[Frame], Observation],
+    batch_size: int = 8,
+) -> Iterator[Inputs]:
+    """Load and preprocess frames, a batch at a time, with the sensors that the model looks at.
+
+    Raises UserError for a frame that lacks one of them.
+    """
+    needs_image, needs_cloud = model.image_net is not None, model.voxel_net is not None
+    for start in range(0, len(frames), batch_size):
+        images: list[Tensor] = []
+        grids: list[Tensor] = []
+        for frame in frames[start : start + batch_size]:
+            seen = load(frame)
+            image, voxels = model.preprocess(
+                seen.image if needs_image else None, seen.points_body if needs_cloud else None
+            )
+            for tensor, needed, where in (
+                (image, needs_image, images),
+                (voxels, needs_cloud, grids),
+            ):
+                if not needed:
+                    continue
+                if tensor is None:
+                    raise UserError(
+                        f"frame {frame.key} lacks a sensor that model {model.name!r} needs: leave "
+                        "it out, or take a model of the other sensor"
+                    )
+                where.append(tensor)
+        yield (torch.stack(images) if images else None, torch.stack(grids) if grids else None)
+
+
+def prepared_batches(
+    prepared: PreparedFrames | PreparedSet, rows: Int[np.ndarray, " n"], batch_size: int = 8
+) -> Iterator[Inputs]:
+    """Read rows of a cache, a batch at a time."""
+    for start in range(0, len(rows), batch_size):
+        yield prepared.tensors(rows[start : start + batch_size])
 
 
 def use_channels_last(model: nn.Module) -> nn.Module:

@@ -34,6 +34,7 @@ from typing import Any, BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 import torch
+from filelock import FileLock
 from jaxtyping import Bool, Float, Float32, Int, Shaped, UInt8
 from torch import Tensor
 
@@ -259,7 +260,7 @@ def prepare_cache(
     folder = Path(cache_dir) / key
     if _read_index(folder)[0] < len(dataset.frames):
         folder.mkdir(parents=True, exist_ok=True)
-        with _locked(folder):
+        with FileLock(folder / "lock"):  # let go by the system when its process dies
             _build(dataset, settings, folder, progress, workers)
     return _open(folder, tuple(dataset.frames), settings)
 
@@ -390,16 +391,6 @@ def _open_growing(
         file.truncate(size)
         file.seek(size)
         yield file
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold this folder for one building process; the system lets go when the process dies."""
-    import fcntl  # not on every system, and opening a finished cache needs none
-
-    with (folder / "lock").open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
 
 
 # ---------------------------------------------------------------------------------------- opening

@@ -1,0 +1,68 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""What all commands share: the progress bar, where caches lie, and choosing frames."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from tqdm import tqdm
+
+from adafusion.types import Frame, UserError
+
+if TYPE_CHECKING:
+    from adafusion.datasets import Dataset
+
+T = TypeVar("T")
+
+
+def bar(items: Iterable[T], *, total: int | None = None, desc: str = "") -> Iterable[T]:
+    """Show a bar on stderr: redrawn on a terminal, a line every few seconds in a log."""
+    interval = 0.1 if sys.stderr.isatty() else 5.0
+    return tqdm(items, total=total, desc=desc, mininterval=interval, dynamic_ncols=True)
+
+
+def say(message: str) -> None:
+    """Tell the person at the terminal what happens; stdout is for results."""
+    print(message, file=sys.stderr, flush=True)
+
+
+def cache_folder(given: Path | None) -> Path:
+    """Where preprocessed frames are kept: the option, else ADAFUSION_CACHE, else ~/.cache."""
+    if given is not None:
+        return given
+    return Path(os.environ.get("ADAFUSION_CACHE", Path.home() / ".cache" / "adafusion"))
+
+
+def choose_frames(dataset: Dataset, runs: str | None = None, frames: str = "::") -> list[Frame]:
+    """Frames of the runs named (by comma; None: all), of each run those that a slice keeps.
+
+    `frames` is a slice as Python writes it: "::2" every second, "1::2" the others, ":100".
+    """
+    names = list(dataset.runs) if runs is None else split_names(runs)
+    if unknown := sorted(set(names) - set(dataset.runs)):
+        raise UserError(
+            f"{dataset.root} has no run {', '.join(unknown)}: choose from {', '.join(dataset.runs)}"
+        )
+    try:
+        bounds = [int(part) if part else None for part in frames.split(":")]
+        kept = slice(*bounds) if ":" in frames else slice(bounds[0], (bounds[0] or 0) + 1)
+    except (ValueError, TypeError):
+        raise UserError(f"--frames {frames!r}: write START:STOP:STEP, as in ::2 or 1::2") from None
+    chosen = [
+        frame
+        for name in names
+        for frame in [frame for frame in dataset.frames if frame.run == name][kept]
+    ]
+    if not chosen:
+        raise UserError(f"--frames {frames!r} keeps no frame of {dataset.root}")
+    return chosen
+
+
+def split_names(text: str) -> list[str]:
+    """Names between commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]

@@ -1,0 +1,60 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""Commands about models and configurations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+config_app = typer.Typer(
+    help="Configurations: what every key is and what it is set to.", no_args_is_help=True
+)
+
+
+def import_released(
+    checkpoint: Annotated[Path, typer.Argument(help=".pth or .safetensors of the released code.")],
+    out: Annotated[Path, typer.Argument(help="The model file to write (.safetensors).")],
+) -> None:
+    """Convert a checkpoint of the authors' released AdaFusion code into a model file.
+
+    The result computes what the released code computes. It rounds voxel indices as that code does,
+    and says so in its header. No code inside the checkpoint is run.
+
+    \b
+    Example: adafusion import-released adafusion_nclt.pth models/adafusion-nclt.safetensors
+    """
+    from adafusion.models import import_released as convert
+    from adafusion.models import load_model, save_model
+
+    model = convert(checkpoint)
+    save_model(model, out, card={"source": f"released code's checkpoint {checkpoint.name}"})
+    parameters = sum(p.numel() for p in model.parameters())
+    print(f"{out}: {parameters:,} parameters, fingerprint {load_model(out).fingerprint}")
+
+
+@config_app.command("show")
+def show(
+    what: Annotated[str, typer.Argument(help="train, model or preprocess.")] = "train",
+    overrides: Annotated[
+        list[str] | None, typer.Argument(help="Changes, as loss.margin=12.5.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="A YAML file to begin with.")] = None,
+) -> None:
+    """Print a configuration with every key, ready to be edited and given back.
+
+    \b
+    Example: adafusion config show train --config configs/paper.yaml seed=3 > mine.yaml
+    """
+    from adafusion.config import dump_config, load_config
+    from adafusion.models import ModelConfig
+    from adafusion.preprocess import Preprocess
+    from adafusion.training import TrainConfig
+    from adafusion.types import UserError
+
+    kinds: dict[str, type] = {"train": TrainConfig, "model": ModelConfig, "preprocess": Preprocess}
+    if what not in kinds:
+        raise UserError(f"unknown configuration {what!r}: choose from {', '.join(kinds)}")
+    print(dump_config(load_config(kinds[what], config, overrides or [])), end="")
