@@ -308,7 +308,7 @@ def _zone_tints(traces: Sequence[AlphaTrace]) -> tuple[str | None, dict[str, str
 
 
 def _gaps(along_m: Float[np.ndarray, " n"]) -> Int[np.ndarray, " g"]:
-    """Rows before which frames are missing: steps of five usual ones, standing still not counted."""
+    """Rows before which frames are missing: steps of five usual ones, standstill not counted."""
     step = np.diff(along_m)
     usual = np.median(step[step > 0]) if (step > 0).any() else 0.0
     return np.flatnonzero(step > 5 * usual) + 1
