@@ -197,9 +197,10 @@ NAN = scan([(1.0, float("nan"), 0.0, 0.0), *POINTS])
         (rewrite(POSES_FILE, lambda b: b.replace(b"20", b"nan")), POSES_FILE, "line 3 is not 12"),
         (rewrite(POSES_FILE, lambda b: b"\xff\xfe"), POSES_FILE, "cannot be read .*: fetch it"),
         (rewrite(TIMES_FILE, lambda b: b"0\nx\n1\n"), TIMES_FILE, "line 2 is not 1 finite numbers"),
+        (rewrite(TIMES_FILE, lambda b: b"0\n2\n2\n"), TIMES_FILE, "line 3 is no later time"),
         (rewrite(CALIB_FILE, lambda b: b[: b.index(b"Tr")]), CALIB_FILE, "no Tr with 12 numbers"),
         (rewrite(CALIB_FILE, lambda b: b.replace(b"P2: 700", b"P2:")), CALIB_FILE, "no P2 with 12"),
-        (rewrite(CALIB_FILE, lambda b: b.replace(b"700", b"0")), CALIB_FILE, "no P2 with 12"),
+        (rewrite(CALIB_FILE, lambda b: b.replace(b"700", b"0")), CALIB_FILE, "P2 is no projection"),
         (
             rewrite(CALIB_FILE, lambda b: b.replace(b"Tr: 0 -1", b"Tr: 0 1")),
             CALIB_FILE,

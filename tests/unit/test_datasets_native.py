@@ -213,6 +213,12 @@ def test_an_unfinished_dataset_of_other_settings_is_refused(tmp_path: Path) -> N
         fail(replace(INFO, source="made by another hand"))
 
 
+def test_an_end_before_the_last_step_is_mended(toy: Dataset) -> None:
+    before = toy.fingerprint
+    toy.root.rename(f"{toy.root}.partial")  # all is written, only the name is not taken
+    assert write_toy(toy.root).fingerprint == before
+
+
 @pytest.mark.parametrize("place", ["blocked", "blocked/below"])
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path, place: str) -> None:
     (tmp_path / "blocked").write_text("a file")

@@ -99,7 +99,7 @@ def read_velodyne(path: str | Path) -> Float32[np.ndarray, "n 3"]:
     if len(data) % _RECORD_BYTES:
         raise UserError(
             f"{path} is cut short: {len(data)} bytes are no whole number of {_RECORD_BYTES}-byte "
-            f"points; fetch the file again, or remove it"
+            f"points; replace it with a whole cloud, or leave it out"
         )
     return check_points(np.frombuffer(data, "<f4").reshape(-1, 4)[:, :3], path)
 
@@ -143,6 +143,11 @@ def _read_drive(src: Path, run: str, origin_y_m: float) -> _Drive:
             f"{poses_file} has {len(rows)} poses, {folder / 'times.txt'} {len(seconds)} times: "
             f"fetch both again, they must be of one sequence"
         )
+    if (np.diff(seconds) <= 0).any():
+        line = 2 + int(np.argmax(np.diff(seconds) <= 0))
+        raise UserError(
+            f"{folder / 'times.txt'}: line {line} is no later time: fetch the file again"
+        )
     T_first_cam0 = np.tile(np.eye(4), (len(rows), 1, 1))
     T_first_cam0[:, :3] = rows.reshape(-1, 3, 4)
     if not is_rigid(T_first_cam0):
@@ -179,6 +184,8 @@ def _read_calibration(path: Path) -> dict[str, Float[np.ndarray, "rows columns"]
     T_cam0_velo = np.vstack([Tr, (0.0, 0.0, 0.0, 1.0)])
     if not is_rigid(T_cam0_velo):
         raise UserError(f"{path}: Tr is no rigid motion: fetch the file again")
+    if not np.linalg.det(K) > 0:
+        raise UserError(f"{path}: P2 is no projection: fetch the file again")
     T_cam2_cam0 = pose(np.eye(3), np.linalg.solve(K, P2[:, 3]))  # P2 = K [I | t]: rectified
     T_body_cam0 = T_BODY_LIDAR @ invert(T_cam0_velo)
     return {
@@ -194,7 +201,7 @@ def _matrix(path: Path, entries: dict[str, str], name: str) -> Float[np.ndarray,
         matrix = np.array([float(word) for word in entries[name].split()]).reshape(3, 4)
     except (KeyError, ValueError):
         matrix = np.full((3, 4), np.nan)
-    if not np.isfinite(matrix).all() or not np.isfinite(np.linalg.cond(matrix[:, :3])):
+    if not np.isfinite(matrix).all():
         raise UserError(
             f"{path} has no {name} with 12 numbers: fetch the odometry calibration again"
         )

@@ -77,9 +77,11 @@ class DatasetInfo:
     licence: str
     synthetic: bool  # True where no real sensor saw it
     sensors: dict[str, Any] = field(default_factory=dict)
-    calibration: dict[str, Any] = field(default_factory=dict)  # K, T_body_camera, T_body_lidar
+    # K, T_body_camera, T_body_lidar; by run where they differ
+    calibration: dict[str, Any] = field(default_factory=dict)
     conventions: dict[str, str] = field(default_factory=lambda: dict(CONVENTIONS))
-    regions: dict[str, list[list[float]]] = field(default_factory=dict)  # name -> boxes, see splits
+    # name -> boxes [xmin, ymin, xmax, ymax] in metres; see `adafusion.datasets.splits`
+    regions: dict[str, list[list[float]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, boxes in self.regions.items():
@@ -110,7 +112,7 @@ class Dataset:
     def fingerprint(self) -> str:
         """Changes with `dataset.yaml`, with any row of a run and with the size of any file.
 
-        Contents of images and clouds are not read: 50,000 frames would take minutes.
+        Taken when first asked for. Images and clouds are not read: that would take minutes.
         """
         tables = [self.root / "dataset.yaml", *(_table(self.root, run) for run in self.runs)]
         names = [name for frame in self.frames for name in (frame.image, frame.cloud) if name]
@@ -155,25 +157,21 @@ def decode_image(data: bytes, path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
     whole = _is_whole(data)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if whole else None
     if image is None:
-        raise UserError(f"{path} is damaged or cut short: {_REPLACE.format('image')}")
+        raise _damaged(path, "is damaged or cut short", "image")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
 def read_cloud(path: str | Path) -> Float32[np.ndarray, "n 3"]:
     """Read a cloud, body frame, metres; UserError where it is damaged, empty or not finite."""
-    path = Path(path)
     try:
-        with path.open("rb") as file:
+        with Path(path).open("rb") as file:
             points = np.load(file, allow_pickle=False)
     except FileNotFoundError:
-        raise UserError(f"{path} is missing: {_REPLACE.format('cloud')}") from None
+        raise _damaged(path, "is missing", "cloud") from None
     except Exception as error:  # a damaged header is parsed as Python, and fails as anything
-        raise UserError(f"{path} is damaged ({error}): {_REPLACE.format('cloud')}") from error
+        raise _damaged(path, f"is damaged ({error})", "cloud") from error
     if points.dtype != np.float32 or points.ndim != 2 or points.shape[1] != 3:
-        raise UserError(
-            f"{path} holds {points.dtype} {points.shape}, not float32 (N, 3): "
-            f"{_REPLACE.format('cloud')}"
-        )
+        raise _damaged(path, f"holds {points.dtype} {points.shape}, not float32 (N, 3)", "cloud")
     return check_points(points, path)
 
 
@@ -182,14 +180,11 @@ def check_points(
 ) -> Float32[np.ndarray, "n 3"]:
     """Return `points` if there are any and all are finite; else UserError that names `path`."""
     if len(points) == 0:
-        raise UserError(f"{path} holds no points: {_REPLACE.format('cloud')}")
-    if not np.isfinite(points).all():
-        bad = int((~np.isfinite(points).all(axis=1)).sum())
-        raise UserError(f"{path} holds NaN or infinite points ({bad}): {_REPLACE.format('cloud')}")
+        raise _damaged(path, "holds no points", "cloud")
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        raise _damaged(path, f"holds NaN or infinite points ({np.sum(~finite)})", "cloud")
     return points
-
-
-_REPLACE = "replace the {} with a whole one, or remove the file and its frame"
 
 
 def read_bytes(path: Path, kind: str) -> bytes:
@@ -197,11 +192,13 @@ def read_bytes(path: Path, kind: str) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError:
-        raise UserError(f"{path} is missing: {_REPLACE.format(kind)}") from None
+        raise _damaged(path, "is missing", kind) from None
     except OSError as error:
-        raise UserError(
-            f"{path} cannot be read ({error.strerror}): {_REPLACE.format(kind)}"
-        ) from error
+        raise _damaged(path, f"cannot be read ({error.strerror})", kind) from error
+
+
+def _damaged(path: str | Path, what: str, kind: str) -> UserError:
+    return UserError(f"{path} {what}: replace it with a whole {kind}, or leave it out")
 
 
 def _is_whole(data: bytes) -> bool:
@@ -371,16 +368,15 @@ def write_cloud(
 
 
 class DatasetWriter:
-    """Writes a dataset that is either whole or not there, and takes up again what was cut off.
+    """Writes a dataset that is either whole or not there, and resumes one that was cut off.
 
         with DatasetWriter(out, info) as writer:
             for frame, observation in drive:
-                if not writer.has(frame.run, frame.timestamp_us):
-                    ...
                 writer.add(frame, observation)
 
     Files go to `folder`, which is `<out>.partial`. Leaving the block well writes the tables and
-    renames the folder to `out`; leaving it by an exception keeps the folder for resuming.
+    renames the folder to `out`; leaving it by an exception keeps the folder. A job that resumes
+    asks `has` for each frame and records what is there already by `add_written`.
     """
 
     def __init__(self, out: str | Path, info: DatasetInfo) -> None:
@@ -399,9 +395,9 @@ class DatasetWriter:
                 write_text(draft, _to_yaml(self.info))
         except OSError as error:
             raise _cannot_write(self.folder, error) from error
-        begun = yaml.safe_load(draft.read_text(encoding="utf-8"))
-        begun.pop("runs", None)  # there if the end came between the last two steps
-        if begun != yaml.safe_load(_to_yaml(self.info)):
+        # runs are listed in it if the end came between the last two steps
+        begun = draft.read_text(encoding="utf-8").partition("\nruns:\n")[0]
+        if begun.rstrip() != _to_yaml(self.info).rstrip():
             raise UserError(
                 f"{self.folder} was begun with other settings: remove it, or repeat the settings "
                 f"that its dataset.yaml shows"
@@ -468,8 +464,9 @@ class DatasetWriter:
     def _remove_strays(self) -> None:
         """Delete what no frame names: temporaries of a killed process, frames since left out."""
         named = {name for f in self._frames.values() for name in (f.image, f.cloud)}
-        for path in list(self.folder.glob("*/*/*")):
-            if path.is_file() and path.relative_to(self.folder).as_posix() not in named:
+        for path in list(self.folder.rglob("*")):
+            name = path.relative_to(self.folder).as_posix()
+            if path.is_file() and name not in named and name != "dataset.yaml":
                 path.unlink()
 
 
