@@ -170,9 +170,7 @@ def place_batches(
     order = rng.permutation(np.flatnonzero(np.diff(first)))
     shown = np.zeros(n, np.bool_)
     for _ in range(num_place_batches(pairs, places, views)):
-        is_shown = shown[order]
-        queue = np.concatenate([order[~is_shown], order[is_shown]])
-        anchors = _far_apart(queue, pairs.positions, pairs.world, pairs.d_neg_m, places)
+        anchors = _far_apart(order, shown, pairs.positions, pairs.world, pairs.d_neg_m, places)
         if len(anchors) < 2:
             raise UserError(
                 f"no two places lie farther than {pairs.d_neg_m:g} m from each other: train on a "
@@ -181,8 +179,10 @@ def place_batches(
         rows = _with_views(anchors, first, matches, run, views, rng)
         shown[rows] = True
         a, b = np.triu_indices(len(rows), k=1)
-        is_positive = _is_near(pairs, rows[a], rows[b])
-        counts = is_positive | _is_far(pairs, rows[a], rows[b])
+        gap_squared = _gap_squared(pairs, rows[a], rows[b])
+        # places closer than 2 d_pos_m may share a frame, which is no match of itself
+        is_positive = (gap_squared <= pairs.d_pos_m**2) & (rows[a] != rows[b])
+        counts = is_positive | (gap_squared > pairs.d_neg_m**2)
         yield Batch(
             rows=rows,
             pair=np.column_stack([a[counts], b[counts]]),
@@ -206,11 +206,14 @@ def _with_views(
     rng: np.random.Generator,
 ) -> Int64[np.ndarray, " b"]:
     """Give each anchor and, behind it, up to views - 1 of its matches, other runs first."""
-    counts = 1 + first[anchors + 1] - first[anchors]
-    place = np.repeat(np.arange(len(anchors)), counts)
-    rows = np.concatenate([np.r_[a, matches[first[a] : first[a + 1]]] for a in anchors])
+    counts = first[anchors + 1] - first[anchors]
+    listed = np.arange(counts.sum()) + np.repeat(
+        first[anchors] - np.cumsum(counts) + counts, counts
+    )
+    rows = np.concatenate([anchors, matches[listed]])
+    place = np.concatenate([np.arange(len(anchors)), np.repeat(np.arange(len(anchors)), counts)])
     chance = rng.random(len(rows))
-    chance[np.cumsum(counts) - counts] = -1.0  # the anchor is the first of its place and its run
+    chance[: len(anchors)] = -1.0  # the anchor is the first of its place and of its run
     by_run = np.lexsort((chance, run[rows], place))
     turn = np.empty(len(rows), np.int64)  # 0: the first of its run at this place to be taken
     turn[by_run] = _position_in_group(place[by_run], run[rows][by_run])
@@ -226,45 +229,39 @@ def _position_in_group(*keys: Int[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
     return index - np.maximum.accumulate(np.where(is_start, index, 0))
 
 
-def _distance_squared(
-    pairs: Pairs, a: Int[np.ndarray, "*m"] | np.integer, b: Int[np.ndarray, "*m"]
-) -> Float64[np.ndarray, "*m"]:
-    return np.square(pairs.positions[a] - pairs.positions[b]).sum(axis=-1)
-
-
-def _is_near(
-    pairs: Pairs, a: Int[np.ndarray, " m"], b: Int[np.ndarray, " m"]
-) -> Bool[np.ndarray, " m"]:
-    """Whether frames a and b are a true match; a frame is none of itself."""
-    same_world = pairs.world[a] == pairs.world[b]
-    return same_world & (a != b) & (_distance_squared(pairs, a, b) <= pairs.d_pos_m**2)
+def _gap_squared(
+    pairs: Pairs, a: Int[np.ndarray, " m"] | np.integer, b: Int[np.ndarray, " m"]
+) -> Float64[np.ndarray, " m"]:
+    """Squared metres between frames a and b, inf between worlds."""
+    difference = pairs.positions[a] - pairs.positions[b]
+    squared = difference[:, 0] ** 2 + difference[:, 1] ** 2
+    return np.where(pairs.world[a] == pairs.world[b], squared, np.inf)
 
 
 def _is_far(
     pairs: Pairs, a: Int[np.ndarray, " m"] | np.integer, b: Int[np.ndarray, " m"]
 ) -> Bool[np.ndarray, " m"]:
     """Whether frames a and b are a wrong match."""
-    other_world = pairs.world[a] != pairs.world[b]
-    return other_world | (_distance_squared(pairs, a, b) > pairs.d_neg_m**2)
+    return _gap_squared(pairs, a, b) > pairs.d_neg_m**2
 
 
 @njit(cache=True)
 @no_type_check
-def _far_apart(queue, positions, world, d_neg_m, count):
-    """Walk the queue and take each frame that is far from all taken, until there are `count`."""
+def _far_apart(order, shown, positions, world, d_neg_m, count):
+    """Take frames that are far from all taken, those not shown yet first, up to `count`."""
     taken = np.empty(count, np.int64)
     found = 0
-    for row in queue:
-        fits = True
-        for i in range(found):
-            x = positions[row, 0] - positions[taken[i], 0]
-            y = positions[row, 1] - positions[taken[i], 1]
-            if world[row] == world[taken[i]] and x * x + y * y <= d_neg_m * d_neg_m:
-                fits = False
-                break
-        if fits:
-            taken[found] = row
-            found += 1
+    for is_second_round in (False, True):
+        for row in order:
             if found == count:
                 break
+            fits = shown[row] == is_second_round
+            for i in range(found):
+                x = positions[row, 0] - positions[taken[i], 0]
+                y = positions[row, 1] - positions[taken[i], 1]
+                is_far = world[row] != world[taken[i]] or x * x + y * y > d_neg_m * d_neg_m
+                fits = fits and is_far
+            if fits:
+                taken[found] = row
+                found += 1
     return taken[:found]
