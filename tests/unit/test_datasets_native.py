@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-import errno
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
+from adafusion.datasets import native
 from adafusion.datasets.native import (
     Dataset,
     DatasetInfo,
@@ -229,12 +230,23 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path, place: str) -> No
         pass
 
 
-def test_a_full_disk_is_told_with_the_remedy(tmp_path: Path) -> None:
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux lends a full disk")
+@pytest.mark.parametrize(
+    "observation", [without("day", seen(0)), without("night", seen(0))], ids=["cloud", "image"]
+)
+def test_a_full_disk_is_told_with_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, observation: Observation
+) -> None:
+    @contextmanager
+    def on_a_full_disk(path: Path) -> Iterator[Path]:
+        yield Path("/dev/full")
+
+    monkeypatch.setattr(native, "atomic_path", on_a_full_disk)
     with (
-        pytest.raises(UserError, match=r"toy\.partial cannot be written.*free space"),
-        DatasetWriter(tmp_path / "toy", INFO),
+        pytest.raises(UserError, match=r"toy\.partial cannot be written \(No space.*free space"),
+        DatasetWriter(tmp_path / "toy", INFO) as writer,
     ):
-        raise OSError(errno.ENOSPC, "No space left on device")
+        writer.add(frame_at("a", 0), observation)
 
 
 def test_a_dataset_without_frames_is_refused(tmp_path: Path) -> None:

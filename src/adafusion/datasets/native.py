@@ -13,6 +13,7 @@ A dataset grows in `<dataset>.partial` and takes its name in one step when it is
 from __future__ import annotations
 
 import errno
+import io
 import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -362,8 +363,10 @@ def write_cloud(
     if len(points_body) == 0 or not np.isfinite(points_body).all():
         raise ValueError(f"the cloud of {run}/{timestamp_us} is empty or not finite")
     name = f"{run}/clouds/{timestamp_us}.npy"
+    encoded = io.BytesIO()  # straight to a file, NumPy would not say that the disk is full
+    np.save(encoded, points_body.astype(np.float32, copy=False), allow_pickle=False)
     with atomic_path(Path(folder) / name) as temporary:
-        np.save(temporary, points_body.astype(np.float32, copy=False), allow_pickle=False)
+        temporary.write_bytes(encoded.getbuffer())
     return name
 
 
