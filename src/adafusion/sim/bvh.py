@@ -1,0 +1,218 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bounding volume hierarchy over triangles: binned surface-area heuristic, stack traversal.
+
+Wald, "On fast construction of SAH-based bounding volume hierarchies", RT 2007;
+Moller and Trumbore, "Fast, minimum storage ray-triangle intersection", JGT 1997.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int32, UInt8
+
+from adafusion.sim.numeric import hashed, kernel
+
+BINS = 16
+LEAF_SIZE = 4
+STACK = 64
+LEAF_CELLS = 5.0  # a leaf card is cut into cells of 1/5 of its edges ...
+LEAF_SHARE = 0.62  # ... of which this share is there: the rest lets light and pulses through
+
+
+class Bvh(NamedTuple):
+    """Triangles and the tree over them; a tuple of arrays, so that numba kernels take it."""
+
+    bounds: Float32[np.ndarray, "nodes 6"]  # lower xyz, upper xyz
+    link: Int32[np.ndarray, "nodes 2"]  # (left child, 0), or (first triangle, count) of a leaf
+    triangle: Float32[np.ndarray, "n 9"]  # first corner, then its two edges, in leaf order
+    face: Int32[np.ndarray, " n"]  # which face of the soup each triangle is
+    porous: UInt8[np.ndarray, " n"]  # 1 for a leaf card
+
+
+def build_bvh(corners: Float32[np.ndarray, "n 3 3"], porous: UInt8[np.ndarray, " n"]) -> Bvh:
+    """Build the tree over n >= 0 triangles given by their corners in metres."""
+    n = len(corners)
+    lower, upper = corners.min(axis=1), corners.max(axis=1)
+    order = np.arange(n, dtype=np.int32)
+    bounds = np.zeros((max(2 * n, 2), 6), np.float32)
+    link = np.zeros((max(2 * n, 2), 2), np.int32)
+    nodes = _split(lower, upper, 0.5 * (lower + upper), order, bounds, link) if n else 0
+    sorted_corners = corners[order]
+    triangle = np.empty((n, 9), np.float32)
+    triangle[:, 0:3] = sorted_corners[:, 0]
+    triangle[:, 3:6] = sorted_corners[:, 1] - sorted_corners[:, 0]
+    triangle[:, 6:9] = sorted_corners[:, 2] - sorted_corners[:, 0]
+    return Bvh(bounds[:nodes].copy(), link[:nodes].copy(), triangle, order, porous[order])
+
+
+@kernel
+def _split(lower, upper, centre, order, bounds, link):  # type: ignore[no-untyped-def]
+    """Sort `order` into leaves and fill `bounds` and `link`; returns the number of nodes."""
+    todo = np.empty((STACK * 4, 3), np.int32)  # node, first, end
+    todo[0, 0], todo[0, 1], todo[0, 2] = 0, 0, len(order)
+    depth, nodes = 1, 1
+    count = np.empty(BINS, np.int64)
+    low = np.empty((BINS, 3), np.float64)
+    high = np.empty((BINS, 3), np.float64)
+    right_cost = np.empty(BINS, np.float64)
+    scratch = np.empty_like(order)
+    while depth > 0:
+        depth -= 1
+        node, first, end = todo[depth, 0], todo[depth, 1], todo[depth, 2]
+        for k in range(3):
+            a, b = np.inf, -np.inf
+            for i in range(first, end):
+                a, b = min(a, lower[order[i], k]), max(b, upper[order[i], k])
+            bounds[node, k], bounds[node, 3 + k] = a, b
+        best, best_axis, best_bin, best_min, best_scale = np.inf, -1, 0, 0.0, 0.0
+        if end - first > LEAF_SIZE:
+            for axis in range(3):
+                a, b = np.inf, -np.inf
+                for i in range(first, end):
+                    c = centre[order[i], axis]
+                    a, b = min(a, c), max(b, c)
+                if b - a < 1e-6:
+                    continue
+                scale = BINS * 0.9999 / (b - a)
+                count[:], low[:], high[:] = 0, np.inf, -np.inf
+                for i in range(first, end):
+                    f = order[i]
+                    j = int((centre[f, axis] - a) * scale)
+                    count[j] += 1
+                    for k in range(3):
+                        low[j, k] = min(low[j, k], lower[f, k])
+                        high[j, k] = max(high[j, k], upper[f, k])
+                lo, hi, total = np.full(3, np.inf), np.full(3, -np.inf), 0
+                for j in range(BINS - 1, 0, -1):
+                    total += count[j]
+                    for k in range(3):
+                        lo[k], hi[k] = min(lo[k], low[j, k]), max(hi[k], high[j, k])
+                    right_cost[j] = total * _half_area(lo, hi) if total else 0.0
+                lo[:], hi[:], total = np.inf, -np.inf, 0
+                for j in range(BINS - 1):
+                    total += count[j]
+                    for k in range(3):
+                        lo[k], hi[k] = min(lo[k], low[j, k]), max(hi[k], high[j, k])
+                    if total == 0 or total == end - first:
+                        continue
+                    cost = total * _half_area(lo, hi) + right_cost[j + 1]
+                    if cost < best:
+                        best, best_axis, best_bin = cost, axis, j
+                        best_min, best_scale = a, scale
+        if best_axis < 0:
+            link[node, 0], link[node, 1] = first, end - first
+            continue
+        middle, right = first, 0
+        for i in range(first, end):
+            f = order[i]
+            if int((centre[f, best_axis] - best_min) * best_scale) <= best_bin:
+                order[middle] = f
+                middle += 1
+            else:
+                scratch[right] = f
+                right += 1
+        order[middle:end] = scratch[:right]
+        link[node, 0], link[node, 1] = nodes, 0
+        todo[depth, 0], todo[depth, 1], todo[depth, 2] = nodes, first, middle
+        todo[depth + 1, 0], todo[depth + 1, 1], todo[depth + 1, 2] = nodes + 1, middle, end
+        depth += 2
+        nodes += 2
+    return nodes
+
+
+@kernel
+def _half_area(lo, hi):  # type: ignore[no-untyped-def]
+    x, y, z = hi[0] - lo[0], hi[1] - lo[1], hi[2] - lo[2]
+    return x * y + y * z + z * x
+
+
+@kernel
+def trace(bvh, ox, oy, oz, dx, dy, dz, t_max, any_hit, foliage):  # type: ignore[no-untyped-def]
+    """Follow one ray of unit direction; returns (distance, face, b1, b2) of the nearest hit.
+
+    Face is -1 and the distance `t_max` where nothing is hit. With `any_hit` the first hit found
+    will do (shadows). `foliage` in [0, 1] is the share of leaf cards that are on the trees;
+    (b1, b2) are the barycentric coordinates of the second and third corner.
+    """
+    t, face, u, v = t_max, -1, 0.0, 0.0
+    if len(bvh.link) == 0:
+        return t, face, u, v
+    tiny = 1e-12
+    ix = 1.0 / (dx if abs(dx) > tiny else tiny)
+    iy = 1.0 / (dy if abs(dy) > tiny else tiny)
+    iz = 1.0 / (dz if abs(dz) > tiny else tiny)
+    stack = np.empty(STACK, np.int32)
+    entry = np.empty(STACK, np.float64)
+    stack[0], entry[0] = 0, 0.0
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        if entry[depth] >= t:
+            continue
+        node = stack[depth]
+        while True:
+            first, count = bvh.link[node, 0], bvh.link[node, 1]
+            if count > 0:
+                for i in range(first, first + count):
+                    w = bvh.triangle[i]
+                    e1x, e1y, e1z, e2x, e2y, e2z = w[3], w[4], w[5], w[6], w[7], w[8]
+                    px, py, pz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
+                    det = e1x * px + e1y * py + e1z * pz
+                    if det == 0.0:
+                        continue
+                    inv = 1.0 / det
+                    sx, sy, sz = ox - w[0], oy - w[1], oz - w[2]
+                    b1 = (sx * px + sy * py + sz * pz) * inv
+                    if b1 < 0.0 or b1 > 1.0:
+                        continue
+                    qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
+                    b2 = (dx * qx + dy * qy + dz * qz) * inv
+                    if b2 < 0.0 or b1 + b2 > 1.0:
+                        continue
+                    s = (e2x * qx + e2y * qy + e2z * qz) * inv
+                    if s <= 0.0 or s >= t:
+                        continue
+                    if bvh.porous[i] != 0 and not leaf_is_there(bvh.face[i], b1, b2, foliage):
+                        continue
+                    t, face, u, v = s, bvh.face[i], b1, b2
+                    if any_hit:
+                        return t, face, u, v
+                break
+            near, far = first, first + 1
+            t_near = _enter(bvh.bounds, near, ox, oy, oz, ix, iy, iz, t)
+            t_far = _enter(bvh.bounds, far, ox, oy, oz, ix, iy, iz, t)
+            if t_far < t_near:
+                near, far, t_near, t_far = far, near, t_far, t_near
+            if t_near == np.inf:
+                break
+            if t_far < np.inf:
+                stack[depth], entry[depth] = far, t_far
+                depth += 1
+            node = near
+    return t, face, u, v
+
+
+@kernel
+def leaf_is_there(face: int, b1: float, b2: float, foliage: float) -> bool:
+    """Whether a leaf card has a leaf at (b1, b2): the season thins cards, cells are holes."""
+    if (hashed(face, 1, 7) & 0xFFFF) >= foliage * 65536.0:
+        return False
+    cell = int(b1 * LEAF_CELLS) * 16 + int(b2 * LEAF_CELLS)
+    return (hashed(face, cell, 11) & 0xFFFF) < LEAF_SHARE * 65536.0
+
+
+@kernel
+def _enter(bounds, node, ox, oy, oz, ix, iy, iz, t):  # type: ignore[no-untyped-def]
+    """Distance at which a ray enters the box of `node`, infinity where it misses."""
+    b = bounds[node]
+    x0, x1 = (b[0] - ox) * ix, (b[3] - ox) * ix
+    y0, y1 = (b[1] - oy) * iy, (b[4] - oy) * iy
+    z0, z1 = (b[2] - oz) * iz, (b[5] - oz) * iz
+    near = max(max(min(x0, x1), min(y0, y1)), max(min(z0, z1), 0.0))
+    far = min(min(max(x0, x1), max(y0, y1)), min(max(z0, z1), t))
+    # float32 bounds: a hair of slack, lest a ray slips between two boxes that touch
+    return near if near <= far * 1.000001 else math.inf

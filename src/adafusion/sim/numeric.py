@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the world and its sensors share: keyed random numbers, compiled kernels, hashed noise."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import math
+from collections.abc import Callable
+from typing import TypeVar
+
+import numba
+import numpy as np
+
+F = TypeVar("F", bound=Callable[..., object])
+
+
+def keyed_rng(*key: int | str) -> np.random.Generator:
+    """Give the random numbers that belong to `key`, whatever else was or was not drawn before.
+
+    A key reads (seed, object path, purpose). One stream for everything would let the leaves that
+    fall in winter move the buildings drawn after them.
+    """
+    digest = hashlib.sha256("/".join(map(repr, key)).encode()).digest()
+    return np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "little")))
+
+
+def keyed_seed(*key: int | str) -> int:
+    """31 bits that belong to `key`, for the hashes inside the kernels."""
+    return int(keyed_rng(*key).integers(2**31))
+
+
+def kernel(function: F) -> F:
+    """Compile with numba and keep the machine code on disk.
+
+    No threads inside: frames are rendered by processes, and a kernel that owns one core gives the
+    same bytes on any number of them. Infinities stay legal, sums keep their order.
+    """
+    # a run-time type checker may have wrapped the function; numba needs the bare one
+    bare = inspect.unwrap(function)
+    fast = {"contract", "arcp", "nsz", "afn"}
+    return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fast)(bare)
+
+
+@kernel
+def hashed(a: int, b: int, c: int) -> int:
+    """Hash three integers to 32 bits."""
+    h = (a * 374761393 + b * 668265263 + c * 1440662683 + 0x27D4EB2F) & 0xFFFFFFFF
+    h = ((h ^ (h >> 15)) * 1103515245) & 0xFFFFFFFF
+    h = ((h ^ (h >> 13)) * 1274126177) & 0xFFFFFFFF
+    h = ((h ^ (h >> 16)) * 1431655765) & 0xFFFFFFFF
+    return h ^ (h >> 15)
+
+
+@kernel
+def uniform(a: int, b: int, c: int) -> float:
+    """Hash three integers to (0, 1)."""
+    return (hashed(a, b, c) + 0.5) * (1.0 / 4294967296.0)
+
+
+@kernel
+def normal(a: int, b: int, c: int) -> float:
+    """Hash three integers to a standard normal number (Box and Muller)."""
+    radius = math.sqrt(-2.0 * math.log(uniform(a, b, 2 * c)))
+    return radius * math.cos(2.0 * math.pi * uniform(a, b, 2 * c + 1))
+
+
+@kernel
+def value_noise(x: float, y: float, seed: int, mask: int = -1) -> float:
+    """Smooth noise in (0, 1) that varies over about one unit; it tiles every `mask` + 1 units."""
+    fx, fy = math.floor(x), math.floor(y)
+    u, v = x - fx, y - fy
+    u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
+    ix, iy, jx, jy = int(fx) & mask, int(fy) & mask, (int(fx) + 1) & mask, (int(fy) + 1) & mask
+    low = uniform(ix, iy, seed) * (1.0 - u) + uniform(jx, iy, seed) * u
+    high = uniform(ix, jy, seed) * (1.0 - u) + uniform(jx, jy, seed) * u
+    return low * (1.0 - v) + high * v
+
+
+@kernel
+def pulse(x: float, duty: float, width: float) -> float:
+    """Share of [x - width/2, x + width/2] on which frac(x) < duty: an anti-aliased stripe pattern."""
+    width = max(width, 1e-4)
+    a, b = x - 0.5 * width, x + 0.5 * width
+    fa, fb = math.floor(a), math.floor(b)
+    return (fb * duty + min(b - fb, duty) - fa * duty - min(a - fa, duty)) / width
+
+
+@kernel
+def smooth(low: float, high: float, x: float) -> float:
+    """Cubic step from 0 at `low` to 1 at `high`."""
+    t = min(max((x - low) / (high - low), 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t)
