@@ -18,8 +18,8 @@ def split(query: list[int], database: list[int], **options: object) -> Split:
         name="q->d",
         protocol="cross-run",
         radius_m=20.0,
-        query_rows=np.array(query),
-        database_rows=np.array(database),
+        query_rows=np.array(query, int),
+        database_rows=np.array(database, int),
         **options,
     )
 
@@ -52,6 +52,12 @@ def test_it_searches_a_database_smaller_than_n_whole() -> None:
     e = evaluate_splits(DESCRIPTORS, POSITIONS, [split([7], [0, 3])])
     assert e.recall["AR@1"] == 0.0
     assert e.recall["AR@2"] == e.recall["AR@25"] == 1.0
+
+
+def test_nobody_answers_from_an_empty_database() -> None:
+    e = evaluate_splits(DESCRIPTORS, POSITIONS, [split([4], []), split([4], [0])])
+    assert e.results[0].first_hit.tolist() == [0]
+    assert e.results[0].top_row.tolist() == e.results[0].hit_row.tolist() == [-1]
 
 
 def test_it_averages_splits_without_weights_and_pools_beside() -> None:

@@ -224,8 +224,9 @@ def _search(
                 *_groups(split, query),
             )
             result.first_hit[here] = first_hit
-            result.top_row[here] = np.where(top < 0, -1, split.database_rows[top])
-            result.hit_row[here] = np.where(hit < 0, -1, split.database_rows[hit])
+            frames = np.append(split.database_rows, -1)  # row -1, nobody, is frame -1
+            result.top_row[here] = frames[top]
+            result.hit_row[here] = frames[hit]
     return results
 
 
