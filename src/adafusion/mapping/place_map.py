@@ -10,7 +10,6 @@ threads: processes that use a map should be spawned, not forked.
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import tempfile
 from collections import Counter
@@ -24,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from filelock import FileLock
 from jaxtyping import Float, Float32, Float64
 
 from adafusion.files import fingerprint
@@ -32,6 +32,7 @@ from adafusion.types import Descriptions, Frame, UserError
 FORMAT = 1  # of the table; raised when an older reader would misread it
 TABLE = "places"
 HEADER_KEY = b"adafusion"
+LOCK = "writer.lock"
 UNREADABLE = (
     "cannot be read",
     "check its permissions; if it is damaged, restore it from a copy or build it again",
@@ -222,7 +223,8 @@ class PlaceMap:
                 f"{addition.header.model!r} do not fit: {'; '.join(differences)}. "
                 "Describe them with the map's model and settings, or build a map of their own"
             )
-        with _blaming(path, *UNWRITABLE), _only_writer(path):
+        # one process at a time, or two could add the same run; a dead one holds nothing
+        with _blaming(path, *UNWRITABLE), FileLock(Path(path) / LOCK):
             table.checkout_latest()  # another writer may have been here since
             known = set(table.search().select(["key"]).to_arrow()["key"].to_pylist())
             _refuse_repeated([key for key in addition.keys if key in known], path)
@@ -392,16 +394,3 @@ def _blaming(path: str | Path, verdict: str, remedy: str) -> Iterator[None]:
         yield
     except (OSError, RuntimeError, ValueError, TypeError, KeyError) as error:
         raise UserError(f"{path} {verdict} ({error}); {remedy}") from error
-
-
-@contextmanager
-def _only_writer(path: str | Path) -> Iterator[None]:
-    """Let one process at a time append, or two could add the same run; a dead one holds nothing."""
-    import fcntl  # not on Windows, where maps can still be built and opened
-
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)

@@ -117,7 +117,7 @@ class AdaFusion(nn.Module):
         self,
         image_u8: UInt8[np.ndarray, "h w 3"] | None,
         points_m: Float[np.ndarray, "n 3"] | None,
-    ) -> tuple[Float[Tensor, "3 h w"] | None, Float[Tensor, "1 x y z"] | None]:
+    ) -> tuple[Float[Tensor, "3 h2 w2"] | None, Float[Tensor, "1 x y z"] | None]:
         """Turn a raw RGB image and a cloud (body frame, metres) into the model's own tensors."""
         return self.config.preprocess(image_u8, points_m)
 

@@ -108,6 +108,8 @@ def train(
             "training needs lightning: pip install 'adafusion[train]'"
         ) from error
 
+    if config.augment.jitter_m and points is None:
+        raise ValueError("augment.jitter_m moves raw points: give `points`")
     out = Path(out)
     _claim(out, config, resume)
     sampler = _Sampler(config.sampling, data, rows, config.seed)
@@ -350,7 +352,7 @@ def _inputs(
             )
         image = image.contiguous(memory_format=torch.channels_last)
     if model.voxel_net is not None:
-        if augment.jitter_m and points is not None:
+        if points is not None and augment.jitter_m:
             rng = np.random.default_rng(key)
             voxels = torch.stack(
                 [

@@ -1,0 +1,39 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""A tiny simulated world and a tiny model, made once for all end-to-end tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from adafusion.datasets import Dataset
+from adafusion.models import ModelConfig
+from adafusion.preprocess import ImageSettings, Preprocess, VoxelGrid
+from adafusion.sim.simulate import simulate
+
+
+@pytest.fixture(scope="session")
+def tiny_world(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Two runs of a world nobody trains on elsewhere, cut into regions."""
+    out = tmp_path_factory.mktemp("world") / "tiny"
+    return simulate(out, seed=5, runs=["day", "night"], profile="tiny")
+
+
+@pytest.fixture(scope="session")
+def tiny_model() -> ModelConfig:
+    """A network that describes a frame in a millisecond."""
+    return ModelConfig(
+        width=0.125,
+        dim=16,
+        preprocess=Preprocess(
+            image=ImageSettings(size=(48, 64)), voxels=VoxelGrid(shape=(16, 16, 8))
+        ),
+    )
+
+
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where all end-to-end tests keep preprocessed frames."""
+    return tmp_path_factory.mktemp("cache")
