@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, Int64
 from numba import njit, prange
 
+from adafusion.threads import torch_threads_kept
+
 QUERY_BLOCK = 16  # queries that share one pass over a tile of the database
 TILE_ROWS = 64  # 64 rows of 256 float32 fill 64 KiB: a tile stays in the core's own cache
 PART_ROWS = 4096  # a few queries against a large database share the work by parts of it
@@ -55,7 +57,9 @@ def rank(
     parts = max(1, min(-(-len(b) // PART_ROWS), MIN_TASKS // blocks))
     rows = np.full((parts, len(a), k), -1, np.int64)
     distances = np.full((parts, len(a), k), np.inf, np.float32)
-    if not _rank(a, b, p, grouped, groups_a, groups_b, rows, distances):
+    with torch_threads_kept():
+        is_finite = _rank(a, b, p, grouped, groups_a, groups_b, rows, distances)
+    if not is_finite:
         raise ValueError(NOT_FINITE)
     return rows[0], distances[0]
 
@@ -68,7 +72,8 @@ def pairwise_distances(
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise ValueError(NOT_FINITE)
     out = np.empty((len(a), len(b)), np.float32)
-    _pairwise(a, b, p, out)
+    with torch_threads_kept():
+        _pairwise(a, b, p, out)
     return out
 
 

@@ -20,7 +20,7 @@ LAYERS: list[set[str]] = [
     {"datasets"},
     {"geometry", "config", "provenance"},
     {"files"},
-    {"types"},
+    {"types", "threads"},
 ]
 LEVEL = {part: level for level, parts in enumerate(LAYERS) for part in parts}
 

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numba
 import numpy as np
 import pytest
@@ -73,3 +76,13 @@ def test_it_refuses_what_cannot_be_ranked() -> None:
         rank(QUERY, DATABASE, 1, p=3)
     with pytest.raises(ValueError, match="both or neither"):
         rank(QUERY, DATABASE, 1, query_group=np.array([0]))
+
+
+def test_a_search_leaves_torch_its_number_of_threads() -> None:
+    code = (
+        "import numpy as np, torch; torch.set_num_threads(1);"
+        "from adafusion.search import rank;"
+        "rank(np.zeros((1, 4), np.float32), np.zeros((3, 4), np.float32), 1);"
+        "assert torch.get_num_threads() == 1, torch.get_num_threads()"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)  # the pool starts once a process
