@@ -52,6 +52,7 @@ def demo(
     else:
         dataset = simulate(
             world, seed=seed, runs=["day", "night"], profile="small", places=places,
+            regions="all-test",
             workers=workers, progress=bar,
         )  # fmt: skip
 

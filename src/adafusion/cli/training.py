@@ -152,7 +152,8 @@ def _rows(paths: list[Path], data: PreparedSet, regions: tuple[str, ...] | None)
     if not keep.any():
         raise UserError(
             f"{', '.join(map(str, paths))}: no frame with both sensors in the "
-            f"{' or '.join(regions or ())} region; set `regions` in dataset.yaml or give --validation"
+            f"{' or '.join(regions or ())} region: set `regions` in dataset.yaml, or give "
+            "--validation"
         )
     return np.flatnonzero(keep)
 
