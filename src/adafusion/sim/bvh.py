@@ -8,7 +8,6 @@ Moller and Trumbore, "Fast, minimum storage ray-triangle intersection", JGT 1997
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,8 @@ from adafusion.sim.numeric import hashed, kernel
 BINS = 16
 LEAF_SIZE = 4
 STACK = 64
+_NONE, _ONE = np.uint64(0), np.uint64(1)  # unsigned: numba need not look for negative indices
+_STACK_ITEM = np.dtype([("node", np.uint32), ("entry", np.float64)], align=True)
 LEAF_CELLS = 5.0  # a leaf card is cut into cells of 1/5 of its edges ...
 LEAF_SHARE = 0.62  # ... of which this share is there: the rest lets light and pulses through
 
@@ -131,41 +132,44 @@ def _half_area(lo, hi):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def trace(bvh, ox, oy, oz, dx, dy, dz, t_max, any_hit, foliage):  # type: ignore[no-untyped-def]
+def trace(bvh, stack, ox, oy, oz, dx, dy, dz, t_max, any_hit, foliage):  # type: ignore[no-untyped-def]
     """Follow one ray of unit direction; returns (distance, face, b1, b2) of the nearest hit.
 
     Face is -1 and the distance `t_max` where nothing is hit. With `any_hit` the first hit found
     will do (shadows). `foliage` in [0, 1] is the share of leaf cards that are on the trees;
-    (b1, b2) are the barycentric coordinates of the second and third corner.
+    (b1, b2) are the barycentric coordinates of the second and third corner. `stack` comes from
+    `new_stack`: allocating one for every ray would cost as much as the ray.
     """
     t, face, u, v = t_max, -1, 0.0, 0.0
     if len(bvh.link) == 0:
         return t, face, u, v
+    bounds, link, triangle = bvh.bounds, bvh.link, bvh.triangle
     tiny = 1e-12
     ix = 1.0 / (dx if abs(dx) > tiny else tiny)
     iy = 1.0 / (dy if abs(dy) > tiny else tiny)
     iz = 1.0 / (dz if abs(dz) > tiny else tiny)
-    stack = np.empty(STACK, np.int32)
-    entry = np.empty(STACK, np.float64)
-    stack[0], entry[0] = 0, 0.0
-    depth = 1
-    while depth > 0:
-        depth -= 1
-        if entry[depth] >= t:
+    # boxes in single precision: exact enough with the slack of `_enter`, and a tenth faster
+    fx, fy, fz = np.float32(ox), np.float32(oy), np.float32(oz)
+    jx, jy, jz = np.float32(ix), np.float32(iy), np.float32(iz)
+    stack[0].node, stack[0].entry = _NONE, 0.0
+    depth = _ONE
+    while depth > _NONE:
+        depth -= _ONE
+        if stack[depth].entry >= t:
             continue
-        node = stack[depth]
+        node = np.uint64(stack[depth].node)
         while True:
-            first, count = bvh.link[node, 0], bvh.link[node, 1]
-            if count > 0:
+            first, count = np.uint64(link[node, 0]), np.uint64(link[node, 1])
+            if count > _NONE:
                 for i in range(first, first + count):
-                    w = bvh.triangle[i]
-                    e1x, e1y, e1z, e2x, e2y, e2z = w[3], w[4], w[5], w[6], w[7], w[8]
+                    e1x, e1y, e1z = triangle[i, 3], triangle[i, 4], triangle[i, 5]
+                    e2x, e2y, e2z = triangle[i, 6], triangle[i, 7], triangle[i, 8]
                     px, py, pz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
                     det = e1x * px + e1y * py + e1z * pz
                     if det == 0.0:
                         continue
                     inv = 1.0 / det
-                    sx, sy, sz = ox - w[0], oy - w[1], oz - w[2]
+                    sx, sy, sz = ox - triangle[i, 0], oy - triangle[i, 1], oz - triangle[i, 2]
                     b1 = (sx * px + sy * py + sz * pz) * inv
                     if b1 < 0.0 or b1 > 1.0:
                         continue
@@ -182,18 +186,24 @@ def trace(bvh, ox, oy, oz, dx, dy, dz, t_max, any_hit, foliage):  # type: ignore
                     if any_hit:
                         return t, face, u, v
                 break
-            near, far = first, first + 1
-            t_near = _enter(bvh.bounds, near, ox, oy, oz, ix, iy, iz, t)
-            t_far = _enter(bvh.bounds, far, ox, oy, oz, ix, iy, iz, t)
+            near, far = first, first + _ONE
+            t_near = _enter(bounds, near, fx, fy, fz, jx, jy, jz, np.float32(t))
+            t_far = _enter(bounds, far, fx, fy, fz, jx, jy, jz, np.float32(t))
             if t_far < t_near:
                 near, far, t_near, t_far = far, near, t_far, t_near
             if t_near == np.inf:
                 break
             if t_far < np.inf:
-                stack[depth], entry[depth] = far, t_far
-                depth += 1
+                stack[depth].node, stack[depth].entry = far, t_far
+                depth += _ONE
             node = near
     return t, face, u, v
+
+
+@kernel
+def new_stack():  # type: ignore[no-untyped-def]
+    """Memory for one `trace` at a time."""
+    return np.empty(STACK, _STACK_ITEM)
 
 
 @kernel
@@ -208,11 +218,10 @@ def leaf_is_there(face: int, b1: float, b2: float, foliage: float) -> bool:
 @kernel
 def _enter(bounds, node, ox, oy, oz, ix, iy, iz, t):  # type: ignore[no-untyped-def]
     """Distance at which a ray enters the box of `node`, infinity where it misses."""
-    b = bounds[node]
-    x0, x1 = (b[0] - ox) * ix, (b[3] - ox) * ix
-    y0, y1 = (b[1] - oy) * iy, (b[4] - oy) * iy
-    z0, z1 = (b[2] - oz) * iz, (b[5] - oz) * iz
-    near = max(max(min(x0, x1), min(y0, y1)), max(min(z0, z1), 0.0))
+    x0, x1 = (bounds[node, 0] - ox) * ix, (bounds[node, 3] - ox) * ix
+    y0, y1 = (bounds[node, 1] - oy) * iy, (bounds[node, 4] - oy) * iy
+    z0, z1 = (bounds[node, 2] - oz) * iz, (bounds[node, 5] - oz) * iz
+    near = max(max(min(x0, x1), min(y0, y1)), max(min(z0, z1), np.float32(0.0)))
     far = min(min(max(x0, x1), max(y0, y1)), min(max(z0, z1), t))
     # float32 bounds: a hair of slack, lest a ray slips between two boxes that touch
-    return near if near <= far * 1.000001 else math.inf
+    return near if near <= far * np.float32(1.000001) else np.float32(np.inf)

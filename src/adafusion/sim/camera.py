@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Float64, UInt8
 
+from adafusion.sim.bvh import new_stack
 from adafusion.sim.conditions import Conditions
 from adafusion.sim.numeric import kernel, normal, smooth, value_noise
 from adafusion.sim.scene import Scene, blocked, outdoor_length, trace_scene, zone_of
@@ -176,7 +177,7 @@ def _sky(light, dx, dy, dz, seed, clouds):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _look(scene, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed, pick, out):  # type: ignore[no-untyped-def]
+def _look(scene, stack, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed, pick, out):  # type: ignore[no-untyped-def]
     """Radiance along one ray into `out`: direct RGB, ambient RGB, its visibility, depth, object.
 
     (ax, ay, az) is the optical axis, `spread` the angle of a pixel. The ambient light is kept
@@ -185,7 +186,7 @@ def _look(scene, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed,
     is cast and the visibility comes back as -1.
     """
     foliage, fog = light[_LEAVES], light[_FOG]
-    t, face, b1, b2 = trace_scene(scene, ox, oy, oz, dx, dy, dz, 400.0, foliage)
+    t, face, b1, b2 = trace_scene(scene, stack, ox, oy, oz, dx, dy, dz, 400.0, foliage)
     out[:] = 0.0
     if face < 0:
         out[0], out[1], out[2] = _sky(light, dx, dy, max(dz, 0.0), seed, True)
@@ -194,7 +195,18 @@ def _look(scene, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed,
             out[0], out[1], out[2] = out[0] * (1 - land), out[1] * (1 - land), out[2] * (1 - land)
         out[6], out[7], out[8] = 1.0, 400.0, -1.0
         if fog > 0.0:
-            _add_fog(scene, light, ox, oy, oz, dx, dy, dz, 400.0 if dz < 0.02 else min(400.0, 40.0 / dz), out)
+            _add_fog(
+                scene,
+                light,
+                ox,
+                oy,
+                oz,
+                dx,
+                dy,
+                dz,
+                400.0 if dz < 0.02 else min(400.0, 40.0 / dz),
+                out,
+            )
         return
     nx, ny, nz = scene.normal[face, 0], scene.normal[face, 1], scene.normal[face, 2]
     cosine = dx * nx + dy * ny + dz * nz
@@ -211,9 +223,7 @@ def _look(scene, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed,
     # a slanted pixel is long one way only: the root keeps textures readable along a street
     footprint = t * spread / math.sqrt(max(cosine, 0.02))
     wu, wv = footprint * scene.uv_per_m[face, 0], footprint * scene.uv_per_m[face, 1]
-    r, g, b, glass, er, eg, eb = surface(
-        material, row, face, u, v, wu, wv, light[_LIT], seed + 5
-    )
+    r, g, b, glass, er, eg, eb = surface(material, row, face, u, v, wu, wv, light[_LIT], seed + 5)
     zone = zone_of(scene.zones, qx, qy, qz)
     leaf = material == _LEAF
     # sun
@@ -224,7 +234,7 @@ def _look(scene, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed,
     shine = 0.0
     if sun > 0.0 and light[_SUN_RGB] > 0.0 and light[_SUN + 2] > 0.0:
         sx, sy, sz = light[_SUN], light[_SUN + 1], light[_SUN + 2]
-        if not blocked(scene, qx, qy, qz, sx, sy, sz, 250.0, foliage):
+        if not blocked(scene, stack, qx, qy, qz, sx, sy, sz, 250.0, foliage):
             ir, ig, ib = sun * light[_SUN_RGB], sun * light[_SUN_RGB + 1], sun * light[_SUN_RGB + 2]
             if material == _CAR_BODY:
                 hx, hy, hz = sx - dx, sy - dy, sz - dz
@@ -272,7 +282,7 @@ def _look(scene, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed,
         size = math.sqrt(vx * vx + vy * vy + vz * vz)
         if size > 1e-3:
             near = 1.2 if zone >= 0 else 7.0
-            if blocked(scene, qx, qy, qz, vx / size, vy / size, vz / size, near, foliage):
+            if blocked(scene, stack, qx, qy, qz, vx / size, vy / size, vz / size, near, foliage):
                 visible = 0.4 if leaf else 0.15
     inv_pi = 1.0 / math.pi
     keep = 1.0 - 0.9 * glass
@@ -289,7 +299,11 @@ def _look(scene, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed,
             open_sky = smooth(0.05, 0.45, rz)
             mirror *= 0.3 + 0.7 * open_sky
         else:
-            sr, sg, sb = inv_pi * light[_AMBIENT + 3], inv_pi * light[_AMBIENT + 4], inv_pi * light[_AMBIENT + 5]
+            sr, sg, sb = (
+                inv_pi * light[_AMBIENT + 3],
+                inv_pi * light[_AMBIENT + 4],
+                inv_pi * light[_AMBIENT + 5],
+            )
         out[0] += mirror * sr + shine * light[_SUN_RGB]
         out[1] += mirror * sg + shine * light[_SUN_RGB + 1]
         out[2] += mirror * sb + shine * light[_SUN_RGB + 2]
@@ -301,12 +315,22 @@ def _look(scene, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed,
                 on = 0.12
         out[0], out[1], out[2] = out[0] + er * on, out[1] + eg * on, out[2] + eb * on
     elif material == _CAR_LIGHT:
-        out[3], out[4], out[5] = out[3] + 0.3 * er * mr, out[4] + 0.3 * eg * mg, out[5] + 0.3 * eb * mb
+        out[3], out[4], out[5] = (
+            out[3] + 0.3 * er * mr,
+            out[4] + 0.3 * eg * mg,
+            out[5] + 0.3 * eb * mb,
+        )
     else:
         out[0] += er * light[_WINDOW]
         out[1] += eg * light[_WINDOW + 1]
         out[2] += eb * light[_WINDOW + 2]
-    out[6], out[7], out[8] = visible, t, float(scene.object_id[face]) * 8.0 + math.floor(nx * 1.9 + 2.0) + 0.3 * math.floor(ny * 1.9 + 2.0)
+    out[6], out[7], out[8] = (
+        visible,
+        t,
+        float(scene.object_id[face]) * 8.0
+        + math.floor(nx * 1.9 + 2.0)
+        + 0.3 * math.floor(ny * 1.9 + 2.0),
+    )
     if fog > 0.0:
         _add_fog(scene, light, ox, oy, oz, dx, dy, dz, t, out)
 
@@ -331,6 +355,7 @@ def _render(scene, lamps, light, R, origin, K, seed, image):  # type: ignore[no-
     ax, ay, az = R[0, 2], R[1, 2], R[2, 2]
     spread = 1.0 / K[0]
     layers = np.empty((h, w, 9), np.float32)
+    stack = new_stack()
     for i in range(h):
         for j in range(w):
             x, y = (j - K[2]) / K[0], (i - K[3]) / K[1]
@@ -338,7 +363,7 @@ def _render(scene, lamps, light, R, origin, K, seed, image):  # type: ignore[no-
             dx = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) * size
             dy = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) * size
             dz = (R[2, 0] * x + R[2, 1] * y + R[2, 2]) * size
-            _look(scene, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed,
+            _look(scene, stack, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed,
                   (i % 5) * 5 + j % 5, layers[i, j])  # fmt: skip
     extra = np.empty(9, np.float32)
     for i in range(h):
@@ -369,7 +394,7 @@ def _render(scene, lamps, light, R, origin, K, seed, image):  # type: ignore[no-
                     dx = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) * size
                     dy = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) * size
                     dz = (R[2, 0] * x + R[2, 1] * y + R[2, 2]) * size
-                    _look(scene, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed,
+                    _look(scene, stack, lamps, light, ox, oy, oz, dx, dy, dz, ax, ay, az, spread, seed,
                           -1, extra)  # fmt: skip
                     seen = visible if extra[6] < 0.0 else 1.0
                     r += extra[0] + seen * extra[3]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
+from adafusion.sim.bvh import new_stack
 from adafusion.sim.conditions import Conditions
 from adafusion.sim.numeric import kernel, normal, uniform
 from adafusion.sim.scene import Scene, outdoor_length, trace_scene
@@ -119,9 +120,10 @@ def _scan(scene, origin, directions, settings, seed, reflectivity, ranges):  # t
     range_m, nearest, sigma, drop_out, power_half = settings[:5]
     glass_loss, fog, scatter, foliage = settings[5:9]
     ox, oy, oz = origin
+    stack = new_stack()
     for i in range(len(directions)):
         dx, dy, dz = directions[i]
-        t, face, b1, b2 = trace_scene(scene, ox, oy, oz, dx, dy, dz, range_m, foliage)
+        t, face, b1, b2 = trace_scene(scene, stack, ox, oy, oz, dx, dy, dz, range_m, foliage)
         open_air = 0.0
         if fog > 0.0 or scatter > 0.0:
             open_air = outdoor_length(scene.zones, ox, oy, oz, dx, dy, dz, t)
@@ -135,7 +137,9 @@ def _scan(scene, origin, directions, settings, seed, reflectivity, ranges):  # t
                     continue
         if face < 0 or t < nearest or uniform(seed, i, 1) < drop_out:
             continue
-        cosine = abs(dx * scene.normal[face, 0] + dy * scene.normal[face, 1] + dz * scene.normal[face, 2])
+        cosine = abs(
+            dx * scene.normal[face, 0] + dy * scene.normal[face, 1] + dz * scene.normal[face, 2]
+        )
         material = scene.material[face]
         rho = reflectivity[material]
         pane = material == _GLASS

@@ -138,7 +138,10 @@ def drive(
     begin = 1_767_225_600_000_000 + int(rng.integers(0, 365 * 86_400 * 10)) * 100_000
     jitter = rng.uniform(-math.radians(0.8), math.radians(0.8), (len(rows), 2))
     poses = np.stack(
-        [_stand(world, path[row], heading[row], *tilt) for row, tilt in zip(rows, jitter, strict=True)]
+        [
+            _stand(world, path[row], heading[row], *tilt)
+            for row, tilt in zip(rows, jitter, strict=True)
+        ]
     )
     return Drive(
         poses,

@@ -69,22 +69,22 @@ def _uv_per_m(
 
 
 @kernel
-def trace_scene(scene, ox, oy, oz, dx, dy, dz, t_max, foliage):  # type: ignore[no-untyped-def]
+def trace_scene(scene, stack, ox, oy, oz, dx, dy, dz, t_max, foliage):  # type: ignore[no-untyped-def]
     """Nearest hit over both trees, numbered as the scene's faces; see `bvh.trace`."""
-    t, face, b1, b2 = trace(scene.static, ox, oy, oz, dx, dy, dz, t_max, False, foliage)
-    t2, face2, c1, c2 = trace(scene.moving, ox, oy, oz, dx, dy, dz, t, False, foliage)
+    t, face, b1, b2 = trace(scene.static, stack, ox, oy, oz, dx, dy, dz, t_max, False, foliage)
+    t2, face2, c1, c2 = trace(scene.moving, stack, ox, oy, oz, dx, dy, dz, t, False, foliage)
     if face2 >= 0:
         return t2, face2 + len(scene.static.face), c1, c2
     return t, face, b1, b2
 
 
 @kernel
-def blocked(scene, ox, oy, oz, dx, dy, dz, t_max, foliage):  # type: ignore[no-untyped-def]
+def blocked(scene, stack, ox, oy, oz, dx, dy, dz, t_max, foliage):  # type: ignore[no-untyped-def]
     """Whether anything stands in the way within `t_max` metres."""
-    _, face, _, _ = trace(scene.static, ox, oy, oz, dx, dy, dz, t_max, True, foliage)
+    _, face, _, _ = trace(scene.static, stack, ox, oy, oz, dx, dy, dz, t_max, True, foliage)
     if face >= 0:
         return True
-    _, face, _, _ = trace(scene.moving, ox, oy, oz, dx, dy, dz, t_max, True, foliage)
+    _, face, _, _ = trace(scene.moving, stack, ox, oy, oz, dx, dy, dz, t_max, True, foliage)
     return face >= 0
 
 

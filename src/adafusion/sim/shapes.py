@@ -289,22 +289,38 @@ VEHICLES = (
     VehicleShape(  # hatchback
         ((0.0, 0.35), (0.05, 0.95), (2.7, 1.0), (3.85, 0.82), (4.0, 0.6), (4.0, 0.32)),
         ((0.12, 0.95), (0.55, 1.48), (1.95, 1.5), (2.9, 0.97)),
-        1.75, (0.72, 3.2), 0.31,
+        1.75,
+        (0.72, 3.2),
+        0.31,
     ),
     VehicleShape(  # saloon
-        ((0.0, 0.38), (0.05, 0.92), (0.9, 1.0), (3.2, 0.98), (4.5, 0.84), (4.65, 0.6), (4.65, 0.33)),
+        (
+            (0.0, 0.38),
+            (0.05, 0.92),
+            (0.9, 1.0),
+            (3.2, 0.98),
+            (4.5, 0.84),
+            (4.65, 0.6),
+            (4.65, 0.33),
+        ),
         ((0.75, 0.98), (1.35, 1.42), (2.6, 1.44), (3.4, 0.96)),
-        1.82, (0.9, 3.75), 0.33,
+        1.82,
+        (0.9, 3.75),
+        0.33,
     ),
     VehicleShape(  # estate or off-roader
         ((0.0, 0.45), (0.04, 1.08), (3.3, 1.12), (4.5, 0.98), (4.65, 0.7), (4.65, 0.42)),
         ((0.1, 1.08), (0.35, 1.68), (2.45, 1.72), (3.4, 1.1)),
-        1.88, (0.9, 3.75), 0.37,
+        1.88,
+        (0.9, 3.75),
+        0.37,
     ),
     VehicleShape(  # van
         ((0.0, 0.4), (0.02, 2.3), (3.9, 2.35), (4.35, 1.5), (5.1, 1.1), (5.2, 0.42)),
         ((3.4, 1.35), (3.5, 2.1), (3.98, 2.1), (4.38, 1.4)),
-        1.98, (0.95, 4.3), 0.36,
+        1.98,
+        (0.95, 4.3),
+        0.36,
     ),
 )
 _PAINTS = (
@@ -354,7 +370,9 @@ def add_vehicle(
         widths = np.array([low, top, top, low])
         left = place(cabin[:, 0], widths, cabin[:, 1])
         right = place(cabin[:, 0], -widths, cabin[:, 1])
-        soup.quads(np.stack([left[[1]], left[[2]], right[[2]], right[[1]]], 1), Material.CAR_BODY, car)
+        soup.quads(
+            np.stack([left[[1]], left[[2]], right[[2]], right[[1]]], 1), Material.CAR_BODY, car
+        )
         rear = np.stack([left[0], left[1], right[1], right[0]])
         front = np.stack([left[3], left[2], right[2], right[3]])
         soup.quads(np.stack([rear, front]), Material.GLASS, car)
@@ -367,7 +385,8 @@ def add_vehicle(
                 zl, zt = cabin[0, 1] + 0.06, cabin[1, 1] - 0.07
                 pane = place(
                     np.array([low_x[0] + 0.05, low_x[1], top_x[1], top_x[0]]),
-                    sign * (np.array([low, low, top, top]) + np.array([-0.005, -0.005, 0.03, 0.03])),
+                    sign
+                    * (np.array([low, low, top, top]) + np.array([-0.005, -0.005, 0.03, 0.03])),
                     np.array([zl, zl, zt, zt]),
                 )
                 soup.quads(pane[None], Material.GLASS, car)
@@ -377,7 +396,9 @@ def add_vehicle(
                         shape.wheel_radius * (1 + np.sin(angle))], axis=1)  # fmt: skip
         for sign in (1, -1):
             face = place(rim[:8, 0], np.full(8, sign * (half + 0.015)), rim[:8, 1])
-            fan = np.array([[face[0], face[i], face[i + 1], face[min(i + 2, 7)]] for i in (1, 3, 5)])
+            fan = np.array(
+                [[face[0], face[i], face[i + 1], face[min(i + 2, 7)]] for i in (1, 3, 5)]
+            )
             soup.quads(fan, Material.RUBBER, car)
             hub = place(x + 0.55 * (rim[:8, 0] - x), np.full(8, sign * (half + 0.022)),
                         shape.wheel_radius + 0.55 * (rim[:8, 1] - shape.wheel_radius))  # fmt: skip

@@ -60,16 +60,28 @@ class Profile:
 
 PROFILES: dict[str, Profile] = {
     "tiny": Profile(
-        columns=2, rows=3, spacing_m=62.0, corridor_m=120.0,
-        camera=Camera(size=(75, 100)), lidar=VLP_16,
+        columns=2,
+        rows=3,
+        spacing_m=62.0,
+        corridor_m=120.0,
+        camera=Camera(size=(75, 100)),
+        lidar=VLP_16,
     ),
     "small": Profile(
-        columns=3, rows=5, spacing_m=80.0, corridor_m=140.0,
-        camera=Camera(size=(150, 200)), lidar=HDL_32E,
+        columns=3,
+        rows=5,
+        spacing_m=80.0,
+        corridor_m=140.0,
+        camera=Camera(size=(150, 200)),
+        lidar=HDL_32E,
     ),
     "full": Profile(
-        columns=5, rows=6, spacing_m=84.0, corridor_m=140.0,
-        camera=Camera(size=(300, 400)), lidar=HDL_64E,
+        columns=5,
+        rows=6,
+        spacing_m=84.0,
+        corridor_m=140.0,
+        camera=Camera(size=(300, 400)),
+        lidar=HDL_64E,
     ),
 }
 
@@ -164,13 +176,20 @@ class _Studio:
 
     def observe(self, run: str, k: int) -> tuple[int, Observation]:
         """Timestamp and observation of the k-th frame of a run."""
-        conditions, run_seed = conditions_of(self.job.seed, run), keyed_seed(self.job.seed, "run", run)
+        conditions, run_seed = (
+            conditions_of(self.job.seed, run),
+            keyed_seed(self.job.seed, "run", run),
+        )
         if self._static is None:
             self._static = build_static(self.world)
         if self._run is None or self._run[0] != run:
             way = self.drive(run)
             vehicles = build_vehicles(
-                self.world, run_seed, conditions.parked_density, conditions.traffic_density, way.path
+                self.world,
+                run_seed,
+                conditions.parked_density,
+                conditions.traffic_density,
+                way.path,
             )
             self._run = run, way, build_scene(self.world, self._static, vehicles)
         _, way, scene = self._run

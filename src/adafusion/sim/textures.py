@@ -93,8 +93,11 @@ def facade(row, u, v, wu, wv, lit_share, lit_seed):  # type: ignore[no-untyped-d
         r, g, b = (r * tone * (1 - mortar) + 0.38 * mortar, g * tone * (1 - mortar) + 0.36 * mortar,
                    b * tone * (1 - mortar) + 0.33 * mortar)  # fmt: skip
     elif style == STONE:
-        dark = 0.75 * min(pulse(v / 0.45, 0.05, wv / 0.45)
-                          + pulse(x_m / 0.9 + 0.5 * (int(math.floor(v / 0.45)) & 1), 0.025, wx / 0.9), 1.0)
+        dark = 0.75 * min(
+            pulse(v / 0.45, 0.05, wv / 0.45)
+            + pulse(x_m / 0.9 + 0.5 * (int(math.floor(v / 0.45)) & 1), 0.025, wx / 0.9),
+            1.0,
+        )
         tone = (1.0 - 0.45 * dark) * (0.92 + 0.16 * value_noise(x_m * 0.9, v * 0.9, 5))  # fmt: skip
         r, g, b = r * tone, g * tone, b * tone
     elif style == METAL_SHEET:
@@ -107,7 +110,9 @@ def facade(row, u, v, wu, wv, lit_share, lit_seed):  # type: ignore[no-untyped-d
         tone *= 1.0 - 0.45 * pulse(v / 0.19, 0.1, wv / 0.19)
         r, g, b = r * tone, g * tone, b * tone
     elif style == SLAB:
-        tone = 1.0 - 0.35 * min(pulse(u, 0.012, wu) + pulse((v - PLINTH_M) / row[FLOOR], 0.02, wv / row[FLOOR]), 1.0)
+        tone = 1.0 - 0.35 * min(
+            pulse(u, 0.012, wu) + pulse((v - PLINTH_M) / row[FLOOR], 0.02, wv / row[FLOOR]), 1.0
+        )
         tone *= 0.9 + 0.2 * value_noise(x_m * 0.35, v * 0.25, 9)
         r, g, b = r * tone, g * tone, b * tone
     else:
@@ -153,9 +158,15 @@ def facade(row, u, v, wu, wv, lit_share, lit_seed):  # type: ignore[no-untyped-d
             pick = uniform(int(column) + 64 * int(storey), int(row[SEED]), lit_seed)
             share = lit_share if kind == 1 else 0.4 + 0.5 * lit_share
             if lit_share > 0.0 and pick < share:
-                level = 0.45 + 1.1 * uniform(int(column), int(row[SEED]) + int(storey), lit_seed + 1)
+                level = 0.45 + 1.1 * uniform(
+                    int(column), int(row[SEED]) + int(storey), lit_seed + 1
+                )
                 cold = 1.25 if pick < 0.25 * share else 1.0
-                er, eg, eb = glass * level, glass * level * (1.0 + 0.1 * (cold - 1.0)), glass * level * cold
+                er, eg, eb = (
+                    glass * level,
+                    glass * level * (1.0 + 0.1 * (cold - 1.0)),
+                    glass * level * cold,
+                )
     elif kind == 3:
         door = 0.35 + 0.3 * uniform(style, int(column), 3)
         r, g, b = sr * door, sg * door, sb * door
@@ -164,7 +175,13 @@ def facade(row, u, v, wu, wv, lit_share, lit_seed):  # type: ignore[no-untyped-d
     elif kind == 4:
         slat = 1.0 - 0.3 * pulse(v / 0.25, 0.15, wv / 0.25)
         r, g, b = sr * slat, sg * slat, sb * slat
-    elif kind == 0 and storey >= 0 and v < row[TOP] - 0.15 and style != CURTAIN and style != METAL_SHEET:
+    elif (
+        kind == 0
+        and storey >= 0
+        and v < row[TOP] - 0.15
+        and style != CURTAIN
+        and style != METAL_SHEET
+    ):
         low = 0.30 if row[WIN_H] < 0.6 else 0.20
         if abs(x - 0.5) < 0.5 * row[WIN_W] + 0.03 and low - 0.045 < y < low:
             r, g, b = 0.5 * (r + sr), 0.5 * (g + sg), 0.5 * (b + sb)  # sill
@@ -176,17 +193,29 @@ def asphalt(row, u, v, w):  # type: ignore[no-untyped-def]
     """Road: grain, patches, worn wheel tracks, and paint by the marking style."""
     style = int(row[STYLE])
     grain = 1.0 - smooth(0.02, 0.2, w)
-    tone = 0.86 + 0.22 * value_noise(u * 0.35, v * 0.12, 3) + 0.10 * grain * (value_noise(u * 17.0, v * 17.0, 4) - 0.5)
+    tone = (
+        0.86
+        + 0.22 * value_noise(u * 0.35, v * 0.12, 3)
+        + 0.10 * grain * (value_noise(u * 17.0, v * 17.0, 4) - 0.5)
+    )
     tone *= 1.0 - 0.10 * math.exp(-((abs(abs(u) - 2.0) - 0.75) ** 2) / 0.08)
     r, g, b = row[0] * tone, row[1] * tone, row[2] * tone
     paint = 0.0
     lateral = abs(u)
     if style == 1 or style == 2:
-        near = min(max((0.075 + 0.5 * w - lateral) / max(w, 0.02), 0.0), 1.0) * min(1.0, 0.15 / max(w, 0.15))
+        near = min(max((0.075 + 0.5 * w - lateral) / max(w, 0.02), 0.0), 1.0) * min(
+            1.0, 0.15 / max(w, 0.15)
+        )
         paint = near * (pulse(v / 6.0, 0.5, w / 6.0) if style == 1 else 1.0)
     if style != 0:
         line = min(max((0.06 + 0.5 * w - abs(lateral - 3.55)) / max(w, 0.02), 0.0), 1.0)
-        paint = max(paint, 0.8 * line * min(1.0, 0.12 / max(w, 0.12)) * (pulse(v / 5.9, 0.3, w / 5.9) if style == 3 else 1.0))
+        paint = max(
+            paint,
+            0.8
+            * line
+            * min(1.0, 0.12 / max(w, 0.12))
+            * (pulse(v / 5.9, 0.3, w / 5.9) if style == 3 else 1.0),
+        )
     if lateral > 5.15:
         tone = 0.82  # gutter
         r, g, b = r * tone, g * tone, b * tone

@@ -278,7 +278,9 @@ def _lay_out_streets(plan: _Plan) -> None:
             plan.nodes.append((x[i] + jitter[0], y[j] + jitter[1]))
     edges = [((i, j), (i + 1, j)) for i in range(spec.columns - 1) for j in range(spec.rows)]
     edges += [((i, j), (i, j + 1)) for i in range(spec.columns) for j in range(spec.rows - 1)]
-    order = [tuple(map(int, e)) for e in rng.permutation([(a, b) for a, b in np.ndindex(1, len(edges))])]
+    order = [
+        tuple(map(int, e)) for e in rng.permutation([(a, b) for a, b in np.ndindex(1, len(edges))])
+    ]
     curved = {index for _, index in order[: max(1, len(edges) // 7)]}
     for index, (a, b) in enumerate(edges):
         start, end = np.array(plan.nodes[grid[a]]), np.array(plan.nodes[grid[b]])
@@ -335,7 +337,9 @@ def _lay_out_corridor(plan: _Plan, grid: dict[tuple[int, int], int], *, west: bo
     plan.corridors.append((x, y0, y1))
     half = CORRIDOR_WIDTH_M / 2
     plan.zones.append(
-        Zone((x - half, y0, -0.5), (x + half, y1, CORRIDOR_HEIGHT_M + 0.05), "corridor", True, 0.006)
+        Zone(
+            (x - half, y0, -0.5), (x + half, y1, CORRIDOR_HEIGHT_M + 0.05), "corridor", True, 0.006
+        )
     )
     plan.taken.append((x, middle, math.pi / 2, spec.corridor_m / 2 + 2.0, 8.0))
     inner = []
@@ -450,7 +454,12 @@ def _pave(plan: _Plan) -> None:
                 zebra = _trimmed(street.line, *((11.0, s - 14.0) if end == 0 else (s - 14.0, 11.0)))
                 if zebra is not None:
                     _strip(
-                        plan, zebra, (ROAD_HALF_M, 0.02), (-ROAD_HALF_M, 0.02), Material.STRIPES, stripes
+                        plan,
+                        zebra,
+                        (ROAD_HALF_M, 0.02),
+                        (-ROAD_HALF_M, 0.02),
+                        Material.STRIPES,
+                        stripes,
                     )
     plain = soup.add_object("road", (0.105, 0.105, 0.11))
     used = {n for street in plan.streets if street.kind == "street" for n in street.ends}
@@ -499,7 +508,9 @@ def _build_corridor(plan: _Plan, index: int) -> None:
             end = y1 if y1 - end < 5.0 else end
             tint = palette[paint.integers(len(palette))] * paint.uniform(0.85, 1.1)
             section = soup.add_object("corridor", tint, style=int(paint.integers(4)))
-            sheet((wall, y, 0), (wall, end, 0), (wall, end, h), (wall, y, h), Material.WALL, section)
+            sheet(
+                (wall, y, 0), (wall, end, 0), (wall, end, h), (wall, y, h), Material.WALL, section
+            )
             y = end
         y = y0 + float(paint.uniform(2.0, 6.0))
         while y < y1 - 4.0:
@@ -566,9 +577,7 @@ def _choose_parks(plan: _Plan) -> None:
             x0, x1 = ring[[0, 2], 0].max(), ring[[1, 3], 0].min()
             y0, y1 = ring[[0, 1], 1].max(), ring[[2, 3], 1].min()
             middle = ring.mean(axis=0)
-            crossed = any(
-                np.hypot(*(street.line - middle).T).min() < 20.0 for street in diagonals
-            )
+            crossed = any(np.hypot(*(street.line - middle).T).min() < 20.0 for street in diagonals)
             if not crossed:
                 free.append((x0 + 11.0, y0 + 11.0, x1 - 11.0, y1 - 11.0))
     if not free:
@@ -654,14 +663,18 @@ def _add_building(
             who: int, lid: Material | None = None) -> None:  # fmt: skip
         base = local([(x0, y1, 0), (x1, y1, 0), (x1, y0, 0), (x0, y0, 0)])[:, :2]
         if material == Material.FACADE:
-            soup.walls(base, ground + z0, ground + z1, material, who, ground=ground, cell_m=kind.cell_m)
+            soup.walls(
+                base, ground + z0, ground + z1, material, who, ground=ground, cell_m=kind.cell_m
+            )
             soup.cap(base, ground + z1, Material.ROOF if lid is None else lid, roof)
         else:
             soup.block(base, ground + z0, ground + z1, material, who, lid=lid, floor=z0 > 0.5)
 
     height = top - ground
     bottom = -1.2
-    soup.walls(outline, ground + bottom, top, Material.FACADE, owner, ground=ground, cell_m=kind.cell_m)
+    soup.walls(
+        outline, ground + bottom, top, Material.FACADE, owner, ground=ground, cell_m=kind.cell_m
+    )
     depth = 2 * half_d
     if kind.roof == "flat":
         soup.cap(outline, top, Material.ROOF, roof)
@@ -675,7 +688,9 @@ def _add_building(
             a = float(rng.uniform(-half_w * 0.6, half_w * 0.2))
             box(a, a + 4.0, depth * 0.4, depth * 0.75, height, height + 2.4, Material.PLAIN, trim)
     else:
-        rise = float(rng.uniform(0.55, 0.75)) * half_d * (0.45 if kind.style == METAL_SHEET else 1.0)
+        rise = (
+            float(rng.uniform(0.55, 0.75)) * half_d * (0.45 if kind.style == METAL_SHEET else 1.0)
+        )
         over, ridge = 0.35, height + rise
         inset = half_w if kind.roof == "gable" else max(half_w - half_d * 0.8, 0.3)
         reach = over if kind.roof == "gable" else 0.0
@@ -684,7 +699,12 @@ def _add_building(
         low = height - over * rise / half_d
         front = local([(a, -over, low), (b, -over, low), (rb, half_d, ridge), (ra, half_d, ridge)])
         back = local(
-            [(b, depth + over, low), (a, depth + over, low), (ra, half_d, ridge), (rb, half_d, ridge)]
+            [
+                (b, depth + over, low),
+                (a, depth + over, low),
+                (ra, half_d, ridge),
+                (rb, half_d, ridge),
+            ]
         )
         soup.quads(np.stack([front, back]), Material.ROOF, roof)
         for end, mid in ((-half_w, ra), (half_w, rb)):
@@ -700,11 +720,29 @@ def _add_building(
         if "chimney" in kind.extras:
             for _ in range(int(rng.integers(1, 3))):
                 a = float(rng.uniform(-half_w + 0.5, half_w - 1.2))
-                box(a, a + 0.9, half_d - 0.3, half_d + 0.4, height, ridge + 1.1, Material.PLAIN, owner)
+                box(
+                    a,
+                    a + 0.9,
+                    half_d - 0.3,
+                    half_d + 0.4,
+                    height,
+                    ridge + 1.1,
+                    Material.PLAIN,
+                    owner,
+                )
     cells = max(round(2 * half_w / kind.cell_m), 1)
     cell = 2 * half_w / cells
     if "cornice" in kind.extras:
-        box(-half_w - 0.3, half_w + 0.3, -0.35, 0.0, height - 0.5, height - 0.1, Material.PLAIN, trim)
+        box(
+            -half_w - 0.3,
+            half_w + 0.3,
+            -0.35,
+            0.0,
+            height - 0.5,
+            height - 0.1,
+            Material.PLAIN,
+            trim,
+        )
         z = plinth + kind.floor_m
         box(-half_w, half_w, -0.14, 0.0, z - 0.15, z + 0.1, Material.PLAIN, trim)
     if "bay" in kind.extras and rng.random() < 0.75:
@@ -722,7 +760,9 @@ def _add_building(
             for f in range(1, storeys):
                 z = plinth + f * kind.floor_m
                 box(a, b, -reach, 0.0, z - 0.12, z + 0.04, Material.PLAIN, trim)
-                rail = local([(a, -reach, z), (b, -reach, z), (b, -reach, z + 1.0), (a, -reach, z + 1.0)])
+                rail = local(
+                    [(a, -reach, z), (b, -reach, z), (b, -reach, z + 1.0), (a, -reach, z + 1.0)]
+                )
                 soup.quads(rail[None], Material.PLAIN, trim)
     if "awning" in kind.extras and rng.random() < 0.8:
         z, reach = plinth + kind.floor_m - 0.45, float(rng.uniform(1.0, 1.8))
@@ -748,7 +788,9 @@ def _add_building(
             box(a, b, -setback + 0.1, -setback + 0.8, -0.4, tall, Material.HEDGE, hedge)
     elif setback > 3.0 and rng.random() < 0.5:  # a low wall or a fence to the street
         wall = float(rng.uniform(0.5, 1.1))
-        box(-half_w, half_w * 0.2, -setback + 0.1, -setback + 0.35, -0.4, wall, Material.PLAIN, trim)
+        box(
+            -half_w, half_w * 0.2, -setback + 0.1, -setback + 0.35, -0.4, wall, Material.PLAIN, trim
+        )
 
 
 # -------------------------------------------------------------------------------------- furniture
@@ -787,7 +829,9 @@ def _furnish_streets(plan: _Plan) -> None:
         edge = ROAD_HALF_M + 0.75 if street.kind == "street" else 2.6
         metal = soup.add_object("pole", np.array([0.22, 0.23, 0.24]) * rng.uniform(0.6, 1.5))
         lamp_height = float(rng.choice([5.0, 6.5, 8.0])) if street.kind == "street" else 4.2
-        glow = soup.add_object("lamp", (1.0, 0.80, 0.52) if rng.random() < 0.6 else (0.9, 0.93, 1.0))
+        glow = soup.add_object(
+            "lamp", (1.0, 0.80, 0.52) if rng.random() < 0.6 else (0.9, 0.93, 1.0)
+        )
         power = np.array(soup._rows[glow][:3]) * 0.085 * lamp_height
         pitch = float(rng.uniform(24.0, 33.0))
         s, side = float(rng.uniform(6.0, 14.0)), int(rng.choice([-1, 1]))
@@ -803,9 +847,13 @@ def _furnish_streets(plan: _Plan) -> None:
                     head = foot - across * (1.5 if street.kind == "street" else 0.2)
                     middle = (foot + head) / 2
                     arm = rectangle(middle, 0.1, 1.5, yaw)
-                    soup.block(arm, z + lamp_height - 0.05, z + lamp_height + 0.05, Material.METAL, metal)
+                    soup.block(
+                        arm, z + lamp_height - 0.05, z + lamp_height + 0.05, Material.METAL, metal
+                    )
                     shade = rectangle(head, 0.35, 0.8, yaw)
-                    soup.block(shade, z + lamp_height + 0.02, z + lamp_height + 0.16, Material.METAL, metal)
+                    soup.block(
+                        shade, z + lamp_height + 0.02, z + lamp_height + 0.16, Material.METAL, metal
+                    )
                     soup.cap(shade, z + lamp_height, Material.LAMP, glow)
                     plan.lamps.append((*head, z + lamp_height - 0.1, *power, -1.0, 0.0))
             side = -side
@@ -831,7 +879,9 @@ def _plant_street(plan: _Plan, e: int, street: Street, length: float, edge: floa
             k += 1
             xy, yaw = _point_on(street.line, s)
             across = np.array([-math.sin(yaw), math.cos(yaw)]) * side
-            out = edge + 0.3 + float(own.uniform(0.0, 0.7)) + (1.5 if street.kind == "path" else 0.0)
+            out = (
+                edge + 0.3 + float(own.uniform(0.0, 0.7)) + (1.5 if street.kind == "path" else 0.0)
+            )
             foot = xy + across * out
             height = size * float(own.uniform(0.75, 1.2))
             crown = height * {"round": 0.3, "column": 0.12, "conifer": 0.2}[kind]
@@ -845,7 +895,12 @@ def _plant_street(plan: _Plan, e: int, street: Street, length: float, edge: floa
 
 
 def _grow(
-    plan: _Plan, xy: np.ndarray, kind: str, height: float, rng: np.random.Generator, tint: np.ndarray
+    plan: _Plan,
+    xy: np.ndarray,
+    kind: str,
+    height: float,
+    rng: np.random.Generator,
+    tint: np.ndarray,
 ) -> None:
     variant, yaw = int(rng.integers(TREE_VARIANTS)), float(rng.uniform(0, 2 * np.pi))
     r, g, b = (tint * rng.uniform(0.88, 1.12)).tolist()
@@ -874,18 +929,24 @@ def _place_small_things(plan: _Plan, e: int, street: Street, length: float) -> N
         tints = [(0.16, 0.24, 0.18), (0.35, 0.35, 0.34), (0.45, 0.08, 0.06), (0.5, 0.42, 0.08)]
         owner = soup.add_object("cabinet", tints[int(rng.integers(4))])
         size = rng.uniform((0.6, 0.4, 0.9), (1.6, 0.7, 1.7))
-        soup.block(rectangle(xy, size[0], size[1], yaw), z - 0.2, z + size[2], Material.PLAIN, owner)
+        soup.block(
+            rectangle(xy, size[0], size[1], yaw), z - 0.2, z + size[2], Material.PLAIN, owner
+        )
 
     def bench(xy: np.ndarray, z: float, yaw: float, rng: np.random.Generator) -> None:
         owner = soup.add_object("bench", (0.30, 0.18, 0.09))
-        soup.block(rectangle(xy, 1.7, 0.45, yaw), z + 0.4, z + 0.48, Material.PLAIN, owner, floor=True)
+        soup.block(
+            rectangle(xy, 1.7, 0.45, yaw), z + 0.4, z + 0.48, Material.PLAIN, owner, floor=True
+        )
         for k in (-0.7, 0.7):
             foot = xy + np.array([math.cos(yaw), math.sin(yaw)]) * k
             soup.block(rectangle(foot, 0.08, 0.4, yaw), z - 0.2, z + 0.4, Material.PLAIN, owner)
 
     def shelter(xy: np.ndarray, z: float, yaw: float, rng: np.random.Generator) -> None:
         frame = soup.add_object("shelter", (0.16, 0.17, 0.18))
-        soup.block(rectangle(xy, 4.2, 1.6, yaw), z + 2.35, z + 2.5, Material.PLAIN, frame, floor=True)
+        soup.block(
+            rectangle(xy, 4.2, 1.6, yaw), z + 2.35, z + 2.5, Material.PLAIN, frame, floor=True
+        )
         for a, b in ((-2.0, -0.7), (2.0, -0.7), (-2.0, 0.7), (2.0, 0.7)):
             c, s = math.cos(yaw), math.sin(yaw)
             _pole(plan, (xy[0] + c * a - s * b, xy[1] + s * a + c * b), z, 2.35, 0.05, frame)
@@ -940,11 +1001,18 @@ def _plant_parks(plan: _Plan) -> None:
                 continue
             placed.append(xy)
             kind = TREE_KINDS[int(kinds[int(own.integers(3))])]
-            tint = np.array((0.08, 0.13, 0.035)) * own.uniform(0.7, 1.35) * own.uniform(0.85, 1.15, 3)
+            tint = (
+                np.array((0.08, 0.13, 0.035)) * own.uniform(0.7, 1.35) * own.uniform(0.85, 1.15, 3)
+            )
             _grow(plan, xy, kind, float(own.uniform(4.5, 12.0)), own, tint)
         hedge = plan.soup.add_object("hedge", np.array([0.07, 0.12, 0.035]) * rng.uniform(0.8, 1.3))
         tall = float(rng.uniform(0.7, 1.3))
-        sides = (((x0, y0), (x1, y0)), ((x1, y0), (x1, y1)), ((x1, y1), (x0, y1)), ((x0, y1), (x0, y0)))
+        sides = (
+            ((x0, y0), (x1, y0)),
+            ((x1, y0), (x1, y1)),
+            ((x1, y1), (x0, y1)),
+            ((x0, y1), (x0, y0)),
+        )
         for a, b in sides:
             if rng.random() < 0.35:
                 continue
@@ -954,7 +1022,10 @@ def _plant_parks(plan: _Plan) -> None:
             for k in range(pieces):
                 if k == gate:
                     continue
-                p0, p1 = start + (end - start) * k / pieces, start + (end - start) * (k + 1) / pieces
+                p0, p1 = (
+                    start + (end - start) * k / pieces,
+                    start + (end - start) * (k + 1) / pieces,
+                )
                 d = p1 - p0
                 bed = rectangle((p0 + p1) / 2, float(np.hypot(*d)), 0.8, math.atan2(d[1], d[0]))
                 z = plan.hills.at((p0 + p1) / 2)
