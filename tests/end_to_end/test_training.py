@@ -47,7 +47,7 @@ def config(tiny_model: ModelConfig) -> TrainConfig:
     return TrainConfig(
         model=tiny_model,
         sampling=Sampling(places=4),
-        loss=Loss(softmax_batches=10, half_weight=0.1),
+        loss=Loss(kind="softmax", half_weight=0.1),
         optimiser=Optimiser(schedule="cosine", warmup=5),
         batches=40,
         evaluate_every=16,
@@ -213,7 +213,7 @@ def test_jitter_reads_raw_clouds_and_changes_what_is_learnt(
 def test_training_beats_chance_on_what_it_has_seen(
     config: TrainConfig, data: PreparedSet, tmp_path: Path
 ) -> None:
-    losses = run(replace(config, loss=Loss(softmax_batches=40)), data, tmp_path)
+    losses = run(replace(config, loss=Loss(kind="softmax")), data, tmp_path)
     assert np.mean(losses[-8:]) < 0.8 * np.mean(losses[:8])
     assert not math.isnan(losses[-1])
 

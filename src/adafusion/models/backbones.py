@@ -39,6 +39,15 @@ class Backbone(nn.Module):
             for block in self.blocks
         )
 
+    @property
+    def last_norm(self) -> nn.BatchNorm2d | nn.BatchNorm3d:
+        """The batch norm before the last pool: its scale is the feature's scale."""
+        block = self.blocks[-1]
+        assert isinstance(block, nn.Sequential)
+        norm = block[-2]
+        assert isinstance(norm, nn.BatchNorm2d | nn.BatchNorm3d)
+        return norm
+
     def forward(
         self, x: Float[Tensor, "b c *cells"]
     ) -> tuple[Float[Tensor, "b out"], list[Tensor]]:

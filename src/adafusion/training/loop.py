@@ -15,7 +15,7 @@ import copy
 import logging
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -63,6 +63,7 @@ MODEL_FILE = "model.safetensors"  # the best on validation, ready to use
 CONFIG_FILE = "train.yaml"
 STATE_FILE = "state.pt"  # where a resumed training goes on
 SELECTED_BY = "recall@1"
+BALANCE_BATCHES = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,6 +127,8 @@ def train(
     done, best = _restore(out, model, optimizer, scheduler) if resume else (0, -math.inf)
     use_channels_last(model)
     wrapped, optimizer = fabric.setup(model, optimizer)
+    if config.balance and not done:
+        balance_branches(model, data, sampler.batches(0, BALANCE_BATCHES), config.loss)
     model.train()
 
     def evaluate() -> tuple[Mapping[str, float], bool]:
@@ -157,7 +160,7 @@ def train(
         start = time.perf_counter()
         image, voxels = _inputs(model, data, batch, config.augment, points, (config.seed, done))
         description = wrapped(fabric.to_device(image), fabric.to_device(voxels))
-        loss, active = batch_loss(description, batch, config.loss, softmax=done)
+        loss, active = batch_loss(description, batch, config.loss)
         optimizer.zero_grad(set_to_none=True)
         fabric.backward(loss)
         value = loss.item()
@@ -235,15 +238,48 @@ def folded(model: AdaFusion) -> AdaFusion:
     return model
 
 
-def batch_loss(
-    description: Description, batch: Batch, loss: Loss, softmax: int
-) -> tuple[Float[Tensor, ""], float]:
-    """Loss of a described batch, and the share of its pairs that have not met the fused margin.
+@torch.inference_mode()
+def balance_branches(
+    model: AdaFusion, data: PreparedSet, batches: Iterable[Batch], loss: Loss
+) -> None:
+    """Scale each branch so that the distances of its half lie around the margin.
 
-    `softmax` counts the batches done: below `loss.softmax_batches` the softmax is in force.
+    A branch trained by a cosine has no scale, and one trained alone has its own; joined as they
+    are, the longer half would drown the other and the margin would first have to undo that. The
+    middle between true and wrong pairs' mean L1 distance comes to lie at the margin for a half,
+    divided by the weight that the model gives the half now (about 0.5 before the weights learn).
+    Scaling the last batch norm scales the feature and changes nothing else about it.
     """
+    model.eval()
+    described = [
+        (model(*_inputs(model, data, batch, Augment(color=0.0), None, (0, 0))), batch)
+        for batch in batches
+    ]
+    for i, (part, net) in enumerate(
+        (("image_half", model.image_net), ("lidar_half", model.voxel_net))
+    ):
+        if net is None:
+            continue
+        middles, weights = [], []
+        for description, batch in described:
+            half = getattr(description, part)
+            distance = pair_distance(half, torch.from_numpy(batch.pair).to(half.device))
+            is_positive = torch.from_numpy(batch.is_positive).to(half.device)
+            middles.append(0.5 * (distance[is_positive].mean() + distance[~is_positive].mean()))
+            weights.append(1.0 if description.alpha is None else description.alpha[:, i].mean())
+        margin, _ = loss.margins(model.config.dim // 2)
+        factor = margin / float(sum(middles) / len(middles)) / float(sum(weights) / len(weights))
+        norm = net.last_norm
+        norm.weight.mul_(factor)
+        norm.bias.mul_(factor)
+        log.info("%s scaled by %.3f to the margin", part, factor)
+
+
+def batch_loss(
+    description: Description, batch: Batch, loss: Loss
+) -> tuple[Float[Tensor, ""], float]:
+    """Loss of a described batch, and the share of its pairs that have not met the fused margin."""
     assert description.fused is not None
-    begin = softmax < loss.softmax_batches
     parts = [(description.fused, 1.0)]
     if (
         loss.half_weight
@@ -258,7 +294,7 @@ def batch_loss(
     total = description.fused.sum() * 0.0
     for descriptors, weight in parts:
         margin, slack = loss.margins(descriptors.shape[1])
-        if begin:
+        if loss.kind == "softmax":
             term = _softmax_term(descriptors, pair, is_positive, loss, margin)
         else:
             term = pair_margin(pair_distance(descriptors, pair), is_positive, margin, slack)

@@ -31,17 +31,17 @@ class Sampling:
 
 @dataclass(frozen=True, kw_only=True)
 class Loss:
-    """Pair margin loss, perhaps after a softmax to begin with, perhaps on each half as well.
+    """The paper's pair margin loss, or a contrastive softmax; perhaps on each half as well.
 
     `margin` and `slack` are meant for a descriptor of 256 numbers and scale with its length, since
     an L1 distance does.
     """
 
+    kind: Literal["margin", "softmax"] = "margin"
     margin: float = 25.0
     slack: float = 1.0
-    softmax_batches: int = 0  # begin with the contrastive softmax for so many batches
-    similarity: Literal["cosine", "l1"] = "cosine"  # what that softmax compares
-    temperature: float = 0.1  # its temperature: in cosine, or as a share of the margin for l1
+    similarity: Literal["cosine", "l1"] = "cosine"  # what the softmax compares
+    temperature: float = 0.1  # of the softmax: in cosine, or for l1 as a share of the margin
     half_weight: float = 0.0  # weight of the same loss on each sensor's half alone
 
     def __post_init__(self) -> None:
@@ -98,6 +98,7 @@ class TrainConfig:
     initialisation: Literal["framework", "he"] = "framework"
     norms: bool = False  # batch norm after every convolution, folded away in what is saved
     init: tuple[str, ...] = ()  # model files whose branches this training starts from
+    balance: bool = False  # first scale each branch to the margin: see `balance_branches`
     stage: Literal["end-to-end", "weights"] = "end-to-end"  # weights: branches frozen
     schedule: Literal["joint", "staged"] = "joint"  # staged: each branch alone, then together
     branch_batches: int | None = None  # of each branch alone, where staged; default: as `batches`
@@ -146,6 +147,7 @@ def phases(config: TrainConfig, out: Path) -> list[Phase]:
         schedule="joint",
         init=tuple(str(phase.out / "model.safetensors") for phase in branches),
         norms=False,  # the branches come with theirs folded
-        loss=replace(config.loss, softmax_batches=0),
+        balance=True,
+        loss=replace(config.loss, kind="margin"),
     )
     return [*branches, Phase(config.model.system, together, out)]
