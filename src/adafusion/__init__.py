@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Camera + LiDAR place recognition with adaptive weights.
 
-    model = adafusion.load_model("adafusion-s")
-    place_map = adafusion.PlaceMap.open("campus.map")
-    answer = adafusion.Localizer(model, place_map).locate(image_u8, points_m)
+>>> model = adafusion.load_model("adafusion-s")
+>>> place_map = adafusion.PlaceMap.open("campus.map")
+>>> answer = adafusion.Localizer(model, place_map).locate(image_u8, points_m)
 """
 
 from adafusion.mapping import Answer, Localizer, Place, PlaceMap

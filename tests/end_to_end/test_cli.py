@@ -49,10 +49,12 @@ def type_in(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, 
 
     def run(*words: object) -> Said:
         monkeypatch.setattr(sys, "argv", ["adafusion", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
+        try:
             main()
-            raise SystemExit(0)
-        return Said(stop.value.code or 0, *capfd.readouterr())
+            code = 0
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        return Said(code, *capfd.readouterr())
 
     return run
 
@@ -73,9 +75,9 @@ def test_help_teaches_with_an_example(type_in, command: list[str]) -> None:
 
 
 def test_help_comes_quickly_because_nothing_heavy_is_imported() -> None:
-    code = "import sys, adafusion.cli; print([m for m in ('numba', 'lancedb', 'cv2') if m in sys.modules])"
+    code = "import sys, adafusion.cli; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "lancedb" not in done.stdout
+    assert not {"lancedb", "lightning", "matplotlib", "tensorboard"} & set(done.stdout.split())
 
 
 def test_a_day_is_mapped_extended_and_the_night_found(

@@ -58,9 +58,11 @@ def add(
     \b
     Example: adafusion map add data/world-7 maps/campus.map --runs dusk
     """
-    from adafusion.mapping import PlaceMap
+    from adafusion.mapping import Localizer, PlaceMap
+    from adafusion.models import load_model
 
-    PlaceMap.open(out)  # a path that is no map is refused before the work, not after it
+    # what is no map, or another model's, is refused before the work and not after it
+    Localizer(load_model(model), PlaceMap.open(out))
     addition = _describe(dataset, model, runs, frames)
     PlaceMap.append(out, addition)
     place_map = PlaceMap.open(out)
