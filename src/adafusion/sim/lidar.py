@@ -14,8 +14,8 @@ from adafusion.sim.bvh import new_stack
 from adafusion.sim.conditions import Conditions
 from adafusion.sim.numeric import kernel, normal, uniform
 from adafusion.sim.scene import Scene, outdoor_length, trace_scene
-from adafusion.sim.textures import REFLECTIVITY, window_at
 from adafusion.sim.shapes import Material
+from adafusion.sim.textures import REFLECTIVITY, window_at
 
 _FACADE, _GLASS = int(Material.FACADE), int(Material.GLASS)
 

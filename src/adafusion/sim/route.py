@@ -16,7 +16,8 @@ from scipy.sparse.csgraph import dijkstra
 from adafusion.geometry import pose
 from adafusion.sim.conditions import Conditions
 from adafusion.sim.numeric import keyed_rng
-from adafusion.sim.world import World, offset_line
+from adafusion.sim.plan import offset_line
+from adafusion.sim.world import World
 
 STEP_M = 0.5  # of the dense path
 LANE_M = -1.2  # lateral middle of the lane driven: right of the street's middle line

@@ -28,9 +28,11 @@ from adafusion.sim.camera import Camera, photograph
 from adafusion.sim.conditions import Conditions, preset, vary
 from adafusion.sim.lidar import HDL_32E, HDL_64E, VLP_16, Lidar, scan
 from adafusion.sim.numeric import keyed_rng, keyed_seed
+from adafusion.sim.plan import WorldSpec
 from adafusion.sim.route import Drive, drive, plan_route
 from adafusion.sim.scene import Scene, build_scene, build_static
-from adafusion.sim.world import World, WorldSpec, build_vehicles, build_world
+from adafusion.sim.vehicles import build_vehicles
+from adafusion.sim.world import World, build_world
 from adafusion.types import Frame, Observation, Progress, UserError, silent
 
 WORLD_VERSION = "1"  # changes whenever the same seed would give other bytes

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from adafusion.sim.buildings import BRICK, CURTAIN, METAL_SHEET, PLINTH_M, SLAB, STONE, TIMBER
 from adafusion.sim.numeric import kernel, pulse, smooth, uniform, value_noise
 from adafusion.sim.shapes import (
     FLOOR,
@@ -25,7 +26,6 @@ from adafusion.sim.shapes import (
     WIN_W,
     Material,
 )
-from adafusion.sim.world import BRICK, CURTAIN, METAL_SHEET, SLAB, STONE, TIMBER
 
 # numba freezes module globals; an enum member would be a slow lookup
 _ASPHALT, _PAVING, _GRASS = int(Material.ASPHALT), int(Material.PAVING), int(Material.GRASS)
@@ -35,8 +35,6 @@ _CAR_BODY, _GLASS, _RUBBER = int(Material.CAR_BODY), int(Material.GLASS), int(Ma
 _WALL, _FLOOR, _CEILING = int(Material.WALL), int(Material.FLOOR), int(Material.CEILING)
 _LAMP, _HEDGE, _STRIPES = int(Material.LAMP), int(Material.HEDGE), int(Material.STRIPES)
 _NOTICE, _DOOR, _CAR_LIGHT = int(Material.NOTICE), int(Material.DOOR), int(Material.CAR_LIGHT)
-
-PLINTH_M = 0.35
 
 # share of near infrared light that comes back, by material
 REFLECTIVITY = np.full(len(Material), 0.35)
