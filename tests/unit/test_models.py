@@ -115,6 +115,16 @@ def test_one_frame_is_a_row_of_a_batch() -> None:
         assert torch.allclose(whole[1:2], one, atol=1e-5)
 
 
+def test_a_single_frame_is_convolved_by_another_kernel_to_the_same_numbers() -> None:
+    model = build().eval()
+    inputs = batch(1)
+    with torch.no_grad():
+        usual = model(*inputs)
+    fast = describe(model, [inputs])
+    for theirs, ours in zip(usual, fast, strict=True):
+        assert np.allclose(theirs.numpy(), ours, atol=1e-6)
+
+
 def test_tensors_of_another_size_are_refused() -> None:
     model = build()
     image, voxels = batch()

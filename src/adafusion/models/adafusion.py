@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from adafusion.files import fingerprint
 from adafusion.models.attention import VALUE_CHANNELS, ChannelAttention, SpatialAttention
-from adafusion.models.backbones import Backbone, Conv, image_backbone, voxel_backbone
+from adafusion.models.backbones import Backbone, Conv, Conv3d, image_backbone, voxel_backbone
 from adafusion.preprocess import Preprocess
 from adafusion.types import Description
 
@@ -189,7 +189,7 @@ class WeightBranch(nn.Module):
         super().__init__()
         if levels:
             self.image_attention = MultiScaleAttention(nn.Conv2d, image_channels, levels, attention)
-            self.voxel_attention = MultiScaleAttention(nn.Conv3d, voxel_channels, levels, attention)
+            self.voxel_attention = MultiScaleAttention(Conv3d, voxel_channels, levels, attention)
             joined = 2 * ATTENTION_WIDTH
         else:
             joined = image_channels[-1] + voxel_channels[-1]

@@ -20,6 +20,28 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 Conv = nn.Conv2d | nn.Conv3d
 
 
+class Conv3d(nn.Conv3d):
+    """`nn.Conv3d` that describes a single frame on a CPU up to four times faster.
+
+    Eager torch sends a small 3-D input of batch one to a plain loop; oneDNN, which it takes for
+    every larger one, is asked for here by name. Only under inference mode: it records no gradient.
+    """
+
+    def forward(self, input: Float[Tensor, "b c x y z"]) -> Float[Tensor, "b out x2 y2 z2"]:
+        """Convolve; the same numbers within float rounding."""
+        if not (
+            torch.is_inference_mode_enabled()
+            and input.device.type == "cpu"
+            and len(input) == 1
+            and torch.backends.mkldnn.is_available()
+        ):
+            return super().forward(input)
+        assert not isinstance(self.padding, str)
+        return torch.mkldnn_convolution(
+            input, self.weight, self.bias, self.padding, self.stride, self.dilation, self.groups
+        )
+
+
 class Backbone(nn.Module):
     """Three blocks of convolutions; the mean over the last one's cells is the feature.
 
@@ -86,10 +108,10 @@ def voxel_backbone(half: int = 128, width: float = 1.0) -> Backbone:
     c1, c2 = _scaled(32, width), _scaled(64, width)
     return Backbone(
         [
-            nn.Sequential(*_convs(nn.Conv3d, 1, c1, c1), nn.AvgPool3d(2)),
-            nn.Sequential(*_convs(nn.Conv3d, c1, c2, c2, c2, c2), nn.AvgPool3d(2)),
+            nn.Sequential(*_convs(Conv3d, 1, c1, c1), nn.AvgPool3d(2)),
+            nn.Sequential(*_convs(Conv3d, c1, c2, c2, c2, c2), nn.AvgPool3d(2)),
             nn.Sequential(
-                *_convs(nn.Conv3d, c2, half, half), nn.BatchNorm3d(half), nn.AvgPool3d(2)
+                *_convs(Conv3d, c2, half, half), nn.BatchNorm3d(half), nn.AvgPool3d(2)
             ),
         ]
     )
