@@ -83,7 +83,11 @@ class Augment:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """One training, whole. `adafusion config show train` prints it; every key can be overridden."""
+    """One training, whole. `adafusion config show train` prints it; every key can be overridden.
+
+    The defaults are what won on validation (docs/adr/0004 and 0005); configs/paper.yaml is the
+    paper's training.
+    """
 
     model: ModelConfig = field(default_factory=ModelConfig)
     sampling: Sampling = field(default_factory=Sampling)
@@ -95,21 +99,23 @@ class TrainConfig:
     batches: int | None = None  # takes the place of `epochs`
     evaluate_every: int = 2000  # batches
     checkpoint_every: int = 500  # batches: what a killed training loses at most
-    initialisation: Literal["framework", "he"] = "framework"
-    norms: bool = False  # batch norm after every convolution, folded away in what is saved
+    initialisation: Literal["framework", "he"] = "he"
+    norms: bool = True  # batch norm after every convolution, folded away in what is saved
     init: tuple[str, ...] = ()  # model files whose branches this training starts from
     balance: bool = False  # first scale each branch to the margin: see `balance_branches`
     stage: Literal["end-to-end", "weights"] = "end-to-end"  # weights: branches frozen
-    schedule: Literal["joint", "staged"] = "joint"  # staged: each branch alone, then together
+    schedule: Literal["joint", "staged"] = "staged"  # staged: each branch alone, then together
     branch_batches: int | None = None  # of each branch alone, where staged; default: as `batches`
+    branch_loss: Literal["margin", "softmax"] = "softmax"  # of each branch alone, where staged
+    joint_rate: float = 0.3  # learning rate of the staged branches together, as a share
 
     def __post_init__(self) -> None:
         if self.stage == "weights" and self.model.system != "adafusion":
             raise ValueError(f"stage weights: {self.model.system} has no weight branch")
         if self.stage == "weights" and not self.init and self.schedule == "joint":
             raise ValueError("stage weights freezes the branches: name trained ones in init")
-        if self.schedule == "staged" and self.model.system not in ("adafusion", "concat"):
-            raise ValueError(f"schedule staged needs two branches; {self.model.system} is one")
+        if self.init and self.norms:
+            raise ValueError("branches named in init have their norms folded away: set norms=false")
         if min(self.evaluate_every, self.checkpoint_every) < 1:
             raise ValueError("evaluate_every and checkpoint_every count batches: at least 1")
 
@@ -124,8 +130,12 @@ class Phase:
 
 
 def phases(config: TrainConfig, out: Path) -> list[Phase]:
-    """Unfold the schedule: `joint` is one phase; `staged` is three, the last from the first two."""
-    if config.schedule == "joint":
+    """Unfold the schedule: `joint` is one phase; `staged` is three, the last from the first two.
+
+    A system of one branch, and one whose branches come from `init`, has nothing to stage.
+    """
+    alone = config.model.system in ("image", "lidar")
+    if config.schedule == "joint" or alone or config.init:
         return [Phase(config.model.system, config, out)]
     branches = [
         Phase(
@@ -136,7 +146,7 @@ def phases(config: TrainConfig, out: Path) -> list[Phase]:
                 batches=config.branch_batches or config.batches,
                 schedule="joint",
                 stage="end-to-end",
-                init=(),
+                loss=replace(config.loss, kind=config.branch_loss),
             ),
             out / system,
         )
@@ -148,6 +158,8 @@ def phases(config: TrainConfig, out: Path) -> list[Phase]:
         init=tuple(str(phase.out / "model.safetensors") for phase in branches),
         norms=False,  # the branches come with theirs folded
         balance=True,
-        loss=replace(config.loss, kind="margin"),
+        optimiser=replace(
+            config.optimiser, learning_rate=config.joint_rate * config.optimiser.learning_rate
+        ),
     )
     return [*branches, Phase(config.model.system, together, out)]
