@@ -145,7 +145,7 @@ def train(
         return values, is_best
 
     if done == 0:
-        values, _ = evaluate()  # the untrained twin: what training has to beat
+        values, is_best = evaluate()  # the untrained twin: what training has to beat
         yield Step(
             batch=0,
             batches=batches,
@@ -155,6 +155,7 @@ def train(
             seconds=0.0,
             learning_rate=optimizer.param_groups[0]["lr"],
             validation=values,
+            is_best=is_best,
         )
     for batch in sampler.batches(first=done, count=batches - done):
         start = time.perf_counter()
