@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,10 +15,15 @@ from adafusion.cli.common import bar, cache_folder, say
 
 if TYPE_CHECKING:
     import numpy as np
+    from jaxtyping import Float, Int
 
+    from adafusion.datasets import Dataset
     from adafusion.models import AdaFusion
+    from adafusion.preprocess import Preprocess
     from adafusion.preprocess.cache import PreparedSet
     from adafusion.training import Step
+
+DONE = "done"  # a phase of a staged training that ran to its end
 
 
 def train(
@@ -49,27 +55,101 @@ def train(
     Example: adafusion train runs/paper data/nclt --config configs/paper.yaml --accelerator gpu
     """
     from adafusion.config import load_config
+    from adafusion.provenance import git_commit, software_versions
     from adafusion.training import TrainConfig, phases
+    from adafusion.training import train as run
+    from adafusion.training.loop import MODEL_FILE, STATE_FILE
 
     settings = load_config(TrainConfig, config, change or [])
     folder = cache_folder(cache)
-    data, points = _prepare(datasets, settings.model.preprocess, folder)
-    rows = _rows(datasets, data, ("train",))
+    taught = Corpus.prepare(datasets, settings.model.preprocess, folder)
+    rows = taught.rows("train")
     if validation:
-        judges, _ = _prepare(validation, settings.model.preprocess, folder)
-        judge_rows = _rows(validation, judges, None)
+        judges = Corpus.prepare(validation, settings.model.preprocess, folder)
+        judge_rows = judges.rows(None)
     else:
-        judges, judge_rows = data, _rows(datasets, data, ("validation",))
+        judges, judge_rows = taught, taught.rows("validation")
     say(f"training on {len(rows)} frames, choosing on {len(judge_rows)}")
+    card = {
+        "data": taught.facts(),
+        "validation_data": judges.facts(),
+        "commit": git_commit(),
+        "versions": software_versions(),
+    }
     for phase in phases(settings, out):
-        if phase.out != out and _is_done(phase.out):
+        if resume and (phase.out / DONE).exists():
             say(f"{phase.name}: done already")
             continue
-        validate = validation_recall(judges, judge_rows)
-        steps = _steps(phase.config, data, rows, validate, phase.out, points, resume,
-                       accelerator, precision)  # fmt: skip
+        steps = run(
+            phase.config,
+            taught.data,
+            rows,
+            validation_recall(judges.data, judge_rows),
+            phase.out,
+            points=taught.points if phase.config.augment.jitter_m else None,
+            resume=resume and (phase.out / STATE_FILE).exists(),
+            card=card,
+            accelerator=accelerator,
+            precision=precision,
+        )
         best = _watch(phase.name, steps, phase.out)
-        print(f"{phase.out / 'model.safetensors'}: validation recall@1 {best:.1%}")
+        (phase.out / DONE).touch()
+        print(f"{phase.out / MODEL_FILE}: validation recall@1 {best:.1%}")
+
+
+@dataclass(frozen=True)
+class Corpus:
+    """Opened datasets and their preprocessed frames, row by row."""
+
+    datasets: tuple[Dataset, ...]
+    data: PreparedSet
+
+    @classmethod
+    def prepare(cls, paths: Sequence[Path], settings: Preprocess, cache: Path) -> Corpus:
+        """Open the datasets and preprocess what the cache does not hold yet."""
+        from adafusion.datasets import open_dataset
+        from adafusion.preprocess.cache import PreparedSet, prepare_cache
+
+        datasets = tuple(open_dataset(path) for path in paths)
+        prepared = (prepare_cache(ds, settings, cache, progress=bar) for ds in datasets)
+        return cls(datasets, PreparedSet(tuple(prepared)))
+
+    def rows(self, region: str | None) -> Int[np.ndarray, " n"]:
+        """Rows in the region that have both sensors; None: anywhere."""
+        import numpy as np
+
+        from adafusion.datasets.splits import region_of
+        from adafusion.types import UserError
+
+        keep = self.data.has_image & self.data.has_cloud
+        if region is not None:
+            names = [region_of(ds.positions_m[:, :2], ds.info.regions) for ds in self.datasets]
+            keep = keep & (np.concatenate(names) == region)
+        if not keep.any():
+            raise UserError(
+                f"{', '.join(str(ds.root) for ds in self.datasets)}: no frame with both sensors "
+                f"in the {region or 'whole'} region: set `regions` in dataset.yaml, or choose by "
+                "another dataset with --validation"
+            )
+        return np.flatnonzero(keep)
+
+    def points(self, row: int) -> Float[np.ndarray, "n 3"]:
+        """The raw cloud of a row, for jitter."""
+        cloud = self.datasets[int(self.data.worlds[row])].load(self.data.frames[row]).points_body
+        assert cloud is not None  # `rows` gives only rows that have one
+        return cloud
+
+    def facts(self) -> list[dict[str, object]]:
+        """What a model card says of the data."""
+        return [
+            {
+                "name": dataset.info.name,
+                "version": dataset.info.version,
+                "fingerprint": dataset.fingerprint,
+                "synthetic": dataset.info.synthetic,
+            }
+            for dataset in self.datasets
+        ]
 
 
 def validation_recall(
@@ -116,79 +196,6 @@ def validation_recall(
     return validate
 
 
-def _prepare(
-    paths: list[Path], settings: Any, folder: Path
-) -> tuple[PreparedSet, Callable[[int], np.ndarray]]:
-    """Preprocess datasets into the cache; also give the raw cloud of any row, for jitter."""
-    from adafusion.datasets import open_dataset
-    from adafusion.preprocess.cache import PreparedSet, prepare_cache
-
-    opened = [open_dataset(path) for path in paths]
-    data = PreparedSet(tuple(prepare_cache(ds, settings, folder, progress=bar) for ds in opened))
-
-    def points(row: int) -> np.ndarray:
-        cloud = opened[int(data.worlds[row])].load(data.frames[row]).points_body
-        assert cloud is not None
-        return cloud
-
-    return data, points
-
-
-def _rows(paths: list[Path], data: PreparedSet, regions: tuple[str, ...] | None) -> np.ndarray:
-    """Rows with both sensors in the regions named; None: anywhere."""
-    import numpy as np
-
-    from adafusion.datasets import open_dataset
-    from adafusion.datasets.splits import region_of
-    from adafusion.types import UserError
-
-    keep = data.has_image & data.has_cloud
-    if regions is not None:
-        names = [
-            region_of(data.positions[data.worlds == i], open_dataset(path).info.regions)
-            for i, path in enumerate(paths)
-        ]
-        keep &= np.isin(np.concatenate(names), regions)
-    if not keep.any():
-        raise UserError(
-            f"{', '.join(map(str, paths))}: no frame with both sensors in the "
-            f"{' or '.join(regions or ())} region: set `regions` in dataset.yaml, or give "
-            "--validation"
-        )
-    return np.flatnonzero(keep)
-
-
-def _is_done(out: Path) -> bool:
-    """Whether a phase ran to its end."""
-    return (out / "done").exists()
-
-
-def _steps(
-    config: Any, data: Any, rows: Any, validate: Any, out: Path, points: Any, resume: bool,
-    accelerator: str, precision: str,
-) -> Iterator[Step]:  # fmt: skip
-    from adafusion import provenance
-    from adafusion.training import train as run
-    from adafusion.training.loop import STATE_FILE
-
-    card = {
-        "seed": config.seed,
-        "system": config.model.system,
-        "training": {
-            "datasets": [part.folder.name for part in data.parts],
-            "frames": len(rows),
-            "synthetic": None,
-        },
-        "commit": provenance.git_commit(),
-        "versions": provenance.software_versions(),
-    }
-    return run(
-        config, data, rows, validate, out,
-        points=points, resume=resume and (out / STATE_FILE).exists(), card=card,
-        accelerator=accelerator, precision=precision,
-    )  # fmt: skip
-
-
 def _watch(name: str, steps: Iterable[Step], out: Path) -> float:
     """Draw the bar, write the TensorBoard log; give the best validation recall@1."""
     from torch.utils.tensorboard import SummaryWriter
@@ -218,7 +225,6 @@ def _watch(name: str, steps: Iterable[Step], out: Path) -> float:
                 seen["recall@1"] = f"{step.validation['recall@1']:.1%}"
                 tqdm.write(f"{name} batch {step.batch}: " + _in_words(step.validation))
             shown.set_postfix(seen, refresh=False)
-    (out / "done").touch()
     return best
 
 

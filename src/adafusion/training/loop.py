@@ -124,7 +124,9 @@ def train(
         weight_decay=config.optimiser.weight_decay,
     )
     scheduler = _scheduler(config, optimizer, batches)
-    done, best = _restore(out, model, optimizer, scheduler) if resume else (0, -math.inf)
+    done, passes, best = 0, 0, -math.inf
+    if resume:
+        done, passes, best = _restore(out, model, optimizer, scheduler)
     use_channels_last(model)
     wrapped, optimizer = fabric.setup(model, optimizer)
     if config.balance and not done:
@@ -140,7 +142,14 @@ def train(
             save_model(
                 folded(model),
                 out / MODEL_FILE,
-                {**(card or {}), "batches": done, "validation": dict(values)},
+                {
+                    **(card or {}),
+                    "seed": config.seed,
+                    "frames": len(rows),
+                    "batches": done,
+                    "frame_passes": passes,
+                    "validation": dict(values),
+                },
             )
         return values, is_best
 
@@ -172,7 +181,7 @@ def train(
             )
         learning_rate = optimizer.param_groups[0]["lr"]
         optimizer.step()
-        done += 1
+        done, passes = done + 1, passes + len(batch.rows)
         if config.optimiser.schedule == "cosine":
             scheduler.step()
         seconds = time.perf_counter() - start
@@ -184,7 +193,7 @@ def train(
             if config.optimiser.schedule == "plateau":
                 scheduler.step(validation[SELECTED_BY])
         if done % config.checkpoint_every == 0 or validation is not None:
-            _checkpoint(out, model, optimizer, scheduler, done, best)
+            _checkpoint(out, model, optimizer, scheduler, done, passes, best)
         yield Step(
             batch=done,
             batches=batches,
@@ -443,6 +452,7 @@ def _checkpoint(
     optimizer: Any,
     scheduler: Any,
     done: int,
+    passes: int,
     best: float,
 ) -> None:
     """Write weights, then the state that names them: a kill in between leaves the last pair."""
@@ -454,6 +464,7 @@ def _checkpoint(
     state = {
         "weights": weights,
         "done": done,
+        "passes": passes,
         "best": best,
         "optimizer": optimizer.state_dict(),
         "scheduler": {k: v for k, v in scheduler.state_dict().items() if not callable(v)},
@@ -465,14 +476,15 @@ def _checkpoint(
             old.unlink()
 
 
-def _restore(out: Path, model: AdaFusion, optimizer: Any, scheduler: Any) -> tuple[int, float]:
+def _restore(out: Path, model: AdaFusion, optimizer: Any, scheduler: Any) -> tuple[int, int, float]:
+    """Take training up where the last checkpoint left it: batches, frame passes, best recall."""
     path = out / STATE_FILE
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         model.load_state_dict(load_file(out / state["weights"]))
         optimizer.load_state_dict(state["optimizer"])
         scheduler.load_state_dict(state["scheduler"])
-        return int(state["done"]), float(state["best"])
+        return int(state["done"]), int(state["passes"]), float(state["best"])
     except Exception as error:
         raise UserError(
             f"{path}: cannot be resumed ({type(error).__name__}: {error}); train into a new folder"
