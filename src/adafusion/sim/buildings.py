@@ -19,7 +19,7 @@ PLINTH_M = 0.35
 BELOW_M = -1.2  # walls go into the ground: streets slope
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BuildingType:
     """What the buildings of one type share; `style` is their facade in `textures.py`."""
 
@@ -35,58 +35,105 @@ class BuildingType:
     setback_m: float
     gap_m: tuple[float, float]
     roof: str  # "flat", "gable", "hip"
-    ground: int  # ground floor: 0 as above, 1 shop windows, 2 doors, 3 gates
+    ground: int  # ground floor: as above, shop windows, doors, gates
     extras: tuple[str, ...] = ()
 
 
+# facade styles, and ground floors
 BRICK, PLASTER, CURTAIN, SLAB, STONE, METAL_SHEET, TIMBER = range(7)
+PLAIN, SHOPS, DOORS, GATES = range(4)
 
 BUILDING_TYPES = {
     "terrace": BuildingType(
-        BRICK, ((0.34, 0.14, 0.10), (0.40, 0.21, 0.14), (0.30, 0.17, 0.13), (0.42, 0.28, 0.20)),
-        (0.70, 0.68, 0.62), (2, 3), 2.9, 2.6, (0.40, 0.52), (9, 17), (9, 11), 1.0, (0, 0.2),
-        "gable", 2, ("chimney", "bay"),
+        style=BRICK,
+        tints=(
+            (0.34, 0.14, 0.10), (0.40, 0.21, 0.14), (0.30, 0.17, 0.13), (0.42, 0.28, 0.20),
+        ),
+        second=(0.70, 0.68, 0.62),
+        storeys=(2, 3), floor_m=2.9, cell_m=2.6, window=(0.40, 0.52),
+        width_m=(9, 17), depth_m=(9, 11), setback_m=1.0, gap_m=(0, 0.2),
+        roof="gable", ground=DOORS, extras=("chimney", "bay"),
     ),
     "apartments": BuildingType(
-        PLASTER, ((0.62, 0.56, 0.42), (0.58, 0.46, 0.34), (0.55, 0.58, 0.55), (0.66, 0.62, 0.56),
-                  (0.50, 0.36, 0.28)),
-        (0.72, 0.70, 0.66), (4, 5), 3.0, 3.2, (0.42, 0.50), (14, 26), (11, 14), 1.5, (0, 5),
-        "flat", 2, ("balcony",),
+        style=PLASTER,
+        tints=(
+            (0.62, 0.56, 0.42), (0.58, 0.46, 0.34), (0.55, 0.58, 0.55), (0.66, 0.62, 0.56),
+            (0.50, 0.36, 0.28),
+        ),
+        second=(0.72, 0.70, 0.66),
+        storeys=(4, 5), floor_m=3.0, cell_m=3.2, window=(0.42, 0.50),
+        width_m=(14, 26), depth_m=(11, 14), setback_m=1.5, gap_m=(0, 5),
+        roof="flat", ground=DOORS, extras=("balcony",),
     ),
     "office": BuildingType(
-        CURTAIN, ((0.30, 0.33, 0.36), (0.22, 0.27, 0.30), (0.42, 0.42, 0.40)),
-        (0.16, 0.17, 0.18), (4, 7), 3.6, 1.8, (0.92, 0.66), (18, 32), (14, 18), 4.0, (4, 9),
-        "flat", 1, ("wing",),
+        style=CURTAIN,
+        tints=(
+            (0.30, 0.33, 0.36), (0.22, 0.27, 0.30), (0.42, 0.42, 0.40),
+        ),
+        second=(0.16, 0.17, 0.18),
+        storeys=(4, 7), floor_m=3.6, cell_m=1.8, window=(0.92, 0.66),
+        width_m=(18, 32), depth_m=(14, 18), setback_m=4.0, gap_m=(4, 9),
+        roof="flat", ground=SHOPS, extras=("wing",),
     ),
     "slab": BuildingType(
-        SLAB, ((0.48, 0.47, 0.44), (0.42, 0.42, 0.42), (0.52, 0.48, 0.42)),
-        (0.30, 0.32, 0.36), (5, 8), 2.8, 3.6, (0.74, 0.46), (22, 36), (11, 13), 6.0, (7, 14),
-        "flat", 2, ("balcony",),
+        style=SLAB,
+        tints=(
+            (0.48, 0.47, 0.44), (0.42, 0.42, 0.42), (0.52, 0.48, 0.42),
+        ),
+        second=(0.30, 0.32, 0.36),
+        storeys=(5, 8), floor_m=2.8, cell_m=3.6, window=(0.74, 0.46),
+        width_m=(22, 36), depth_m=(11, 13), setback_m=6.0, gap_m=(7, 14),
+        roof="flat", ground=DOORS, extras=("balcony",),
     ),
     "shops": BuildingType(
-        PLASTER, ((0.58, 0.50, 0.40), (0.46, 0.22, 0.16), (0.35, 0.40, 0.44), (0.64, 0.62, 0.58)),
-        (0.16, 0.22, 0.20), (2, 3), 3.3, 2.5, (0.44, 0.50), (8, 15), (10, 13), 0.3, (0, 0),
-        "flat", 1, ("awning",),
+        style=PLASTER,
+        tints=(
+            (0.58, 0.50, 0.40), (0.46, 0.22, 0.16), (0.35, 0.40, 0.44), (0.64, 0.62, 0.58),
+        ),
+        second=(0.16, 0.22, 0.20),
+        storeys=(2, 3), floor_m=3.3, cell_m=2.5, window=(0.44, 0.50),
+        width_m=(8, 15), depth_m=(10, 13), setback_m=0.3, gap_m=(0, 0),
+        roof="flat", ground=SHOPS, extras=("awning",),
     ),
     "stone": BuildingType(
-        STONE, ((0.50, 0.45, 0.36), (0.45, 0.42, 0.37), (0.55, 0.49, 0.40)),
-        (0.62, 0.58, 0.50), (3, 4), 3.7, 2.4, (0.40, 0.62), (13, 22), (11, 14), 1.0, (0, 3),
-        "hip", 2, ("cornice", "bay"),
+        style=STONE,
+        tints=(
+            (0.50, 0.45, 0.36), (0.45, 0.42, 0.37), (0.55, 0.49, 0.40),
+        ),
+        second=(0.62, 0.58, 0.50),
+        storeys=(3, 4), floor_m=3.7, cell_m=2.4, window=(0.40, 0.62),
+        width_m=(13, 22), depth_m=(11, 14), setback_m=1.0, gap_m=(0, 3),
+        roof="hip", ground=DOORS, extras=("cornice", "bay"),
     ),
     "warehouse": BuildingType(
-        METAL_SHEET, ((0.32, 0.38, 0.42), (0.42, 0.40, 0.36), (0.24, 0.33, 0.28), (0.45, 0.30, 0.24)),
-        (0.20, 0.22, 0.25), (2, 2), 3.6, 6.0, (0.55, 0.22), (24, 38), (15, 20), 5.0, (6, 12),
-        "gable", 3, (),
+        style=METAL_SHEET,
+        tints=(
+            (0.32, 0.38, 0.42), (0.42, 0.40, 0.36), (0.24, 0.33, 0.28), (0.45, 0.30, 0.24),
+        ),
+        second=(0.20, 0.22, 0.25),
+        storeys=(2, 2), floor_m=3.6, cell_m=6.0, window=(0.55, 0.22),
+        width_m=(24, 38), depth_m=(15, 20), setback_m=5.0, gap_m=(6, 12),
+        roof="gable", ground=GATES,
     ),
     "house": BuildingType(
-        PLASTER, ((0.68, 0.66, 0.60), (0.62, 0.54, 0.40), (0.44, 0.30, 0.22), (0.52, 0.56, 0.58)),
-        (0.46, 0.44, 0.42), (1, 2), 2.8, 3.0, (0.42, 0.46), (9, 13), (8, 10), 5.0, (4, 9),
-        "gable", 2, ("chimney", "porch", "hedge"),
+        style=PLASTER,
+        tints=(
+            (0.68, 0.66, 0.60), (0.62, 0.54, 0.40), (0.44, 0.30, 0.22), (0.52, 0.56, 0.58),
+        ),
+        second=(0.46, 0.44, 0.42),
+        storeys=(1, 2), floor_m=2.8, cell_m=3.0, window=(0.42, 0.46),
+        width_m=(9, 13), depth_m=(8, 10), setback_m=5.0, gap_m=(4, 9),
+        roof="gable", ground=DOORS, extras=("chimney", "porch", "hedge"),
     ),
     "timber": BuildingType(
-        TIMBER, ((0.40, 0.29, 0.18), (0.30, 0.26, 0.22), (0.52, 0.42, 0.30)),
-        (0.66, 0.66, 0.64), (2, 4), 3.0, 2.9, (0.52, 0.60), (12, 20), (10, 12), 2.5, (3, 7),
-        "flat", 2, ("wing", "balcony"),
+        style=TIMBER,
+        tints=(
+            (0.40, 0.29, 0.18), (0.30, 0.26, 0.22), (0.52, 0.42, 0.30),
+        ),
+        second=(0.66, 0.66, 0.64),
+        storeys=(2, 4), floor_m=3.0, cell_m=2.9, window=(0.52, 0.60),
+        width_m=(12, 20), depth_m=(10, 12), setback_m=2.5, gap_m=(3, 7),
+        roof="flat", ground=DOORS, extras=("wing", "balcony"),
     ),
 }  # fmt: skip
 _SHOP_RGB: tuple[Rgb, ...] = (
@@ -211,7 +258,7 @@ class _House:
 
 def _add_flat_roof(house: _House, rng: np.random.Generator) -> None:
     """A parapet, and often a stair head."""
-    _, _, yaw, half_w, half_d = house.rect
+    _, _, _, half_w, half_d = house.rect
     depth, height = 2 * half_d, house.height
     outline = house.place(
         [(-half_w, depth, 0), (half_w, depth, 0), (half_w, 0, 0), (-half_w, 0, 0)]

@@ -11,14 +11,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
+from jaxtyping import Float32, Float64, Int32, UInt8
 
-from adafusion.sim.numeric import hashed, kernel
+from adafusion.sim.numeric import Vector, hashed, inlined, kernel
 
 BINS = 16
 LEAF_SIZE = 4
 STACK = 64
 _NONE, _ONE = np.uint64(0), np.uint64(1)  # unsigned: numba need not look for negative indices
+Stack = np.ndarray  # of _STACK_ITEM: nodes still to be visited, and where the ray enters them
 _STACK_ITEM = np.dtype([("node", np.uint32), ("entry", np.float64)], align=True)
 LEAF_CELLS = 5.0  # a leaf card is cut into cells of 1/5 of its edges ...
 LEAF_SHARE = 0.62  # ... of which this share is there: the rest lets light and pulses through
@@ -51,7 +52,14 @@ def build_bvh(corners: Float32[np.ndarray, "n 3 3"], porous: UInt8[np.ndarray, "
 
 
 @kernel
-def _split(lower, upper, centre, order, bounds, link):  # type: ignore[no-untyped-def]
+def _split(
+    lower: Float32[np.ndarray, "n 3"],
+    upper: Float32[np.ndarray, "n 3"],
+    centre: Float32[np.ndarray, "n 3"],
+    order: Int32[np.ndarray, " n"],
+    bounds: Float32[np.ndarray, "nodes 6"],
+    link: Int32[np.ndarray, "nodes 2"],
+) -> int:
     """Sort `order` into leaves and fill `bounds` and `link`; returns the number of nodes."""
     todo = np.empty((STACK * 4, 3), np.int32)  # node, first, end
     todo[0, 0], todo[0, 1], todo[0, 2] = 0, 0, len(order)
@@ -125,32 +133,35 @@ def _split(lower, upper, centre, order, bounds, link):  # type: ignore[no-untype
     return nodes
 
 
-@kernel
-def _half_area(lo, hi):  # type: ignore[no-untyped-def]
+@inlined
+def _half_area(lo: Float64[np.ndarray, " 3"], hi: Float64[np.ndarray, " 3"]) -> float:
     x, y, z = hi[0] - lo[0], hi[1] - lo[1], hi[2] - lo[2]
     return x * y + y * z + z * x
 
 
 @kernel
-def trace(bvh, stack, ox, oy, oz, dx, dy, dz, t_max, any_hit, foliage):  # type: ignore[no-untyped-def]
-    """Follow one ray of unit direction; returns (distance, face, b1, b2) of the nearest hit.
+def new_stack() -> Stack:
+    """Memory for one `trace` at a time; allocating it would cost as much as the ray."""
+    return np.empty(STACK, _STACK_ITEM)
 
-    Face is -1 and the distance `t_max` where nothing is hit. With `any_hit` the first hit found
-    will do (shadows). `foliage` in [0, 1] is the share of leaf cards that are on the trees;
-    (b1, b2) are the barycentric coordinates of the second and third corner. `stack` comes from
-    `new_stack`: allocating one for every ray would cost as much as the ray.
+
+@inlined
+def trace(
+    bvh: Bvh, stack: Stack, o: Vector, d: Vector, t_max: float, any_hit: bool, foliage: float
+) -> tuple[float, int, float, float]:
+    """Follow a ray from o in the unit direction d; returns (distance, face, b1, b2) of a hit.
+
+    Of the nearest hit, or with `any_hit` of the first one found (shadows). Face is -1 and the
+    distance `t_max` where nothing is hit. (b1, b2) are the barycentric coordinates of the second
+    and third corner. `foliage` in [0, 1] is the share of leaf cards that are on the trees.
     """
     t, face, u, v = t_max, -1, 0.0, 0.0
     if len(bvh.link) == 0:
         return t, face, u, v
-    bounds, link, triangle = bvh.bounds, bvh.link, bvh.triangle
-    tiny = 1e-12
-    ix = 1.0 / (dx if abs(dx) > tiny else tiny)
-    iy = 1.0 / (dy if abs(dy) > tiny else tiny)
-    iz = 1.0 / (dz if abs(dz) > tiny else tiny)
+    link = bvh.link
     # boxes in single precision: exact enough with the slack of `_enter`, and a tenth faster
-    fx, fy, fz = np.float32(ox), np.float32(oy), np.float32(oz)
-    jx, jy, jz = np.float32(ix), np.float32(iy), np.float32(iz)
+    o32 = np.float32(o[0]), np.float32(o[1]), np.float32(o[2])
+    inv32 = _inverse(d[0]), _inverse(d[1]), _inverse(d[2])
     stack[0].node, stack[0].entry = _NONE, 0.0
     depth = _ONE
     while depth > _NONE:
@@ -162,22 +173,7 @@ def trace(bvh, stack, ox, oy, oz, dx, dy, dz, t_max, any_hit, foliage):  # type:
             first, count = np.uint64(link[node, 0]), np.uint64(link[node, 1])
             if count > _NONE:
                 for i in range(first, first + count):
-                    e1x, e1y, e1z = triangle[i, 3], triangle[i, 4], triangle[i, 5]
-                    e2x, e2y, e2z = triangle[i, 6], triangle[i, 7], triangle[i, 8]
-                    px, py, pz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
-                    det = e1x * px + e1y * py + e1z * pz
-                    if det == 0.0:
-                        continue
-                    inv = 1.0 / det
-                    sx, sy, sz = ox - triangle[i, 0], oy - triangle[i, 1], oz - triangle[i, 2]
-                    b1 = (sx * px + sy * py + sz * pz) * inv
-                    if b1 < 0.0 or b1 > 1.0:
-                        continue
-                    qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
-                    b2 = (dx * qx + dy * qy + dz * qz) * inv
-                    if b2 < 0.0 or b1 + b2 > 1.0:
-                        continue
-                    s = (e2x * qx + e2y * qy + e2z * qz) * inv
+                    s, b1, b2 = _intersect(bvh.triangle, i, o, d)
                     if s <= 0.0 or s >= t:
                         continue
                     if bvh.porous[i] != 0 and not leaf_is_there(bvh.face[i], b1, b2, foliage):
@@ -187,8 +183,8 @@ def trace(bvh, stack, ox, oy, oz, dx, dy, dz, t_max, any_hit, foliage):  # type:
                         return t, face, u, v
                 break
             near, far = first, first + _ONE
-            t_near = _enter(bounds, near, fx, fy, fz, jx, jy, jz, np.float32(t))
-            t_far = _enter(bounds, far, fx, fy, fz, jx, jy, jz, np.float32(t))
+            t_near = _enter(bvh.bounds, near, o32, inv32, np.float32(t))
+            t_far = _enter(bvh.bounds, far, o32, inv32, np.float32(t))
             if t_far < t_near:
                 near, far, t_near, t_far = far, near, t_far, t_near
             if t_near == np.inf:
@@ -200,28 +196,56 @@ def trace(bvh, stack, ox, oy, oz, dx, dy, dz, t_max, any_hit, foliage):  # type:
     return t, face, u, v
 
 
-@kernel
-def new_stack():  # type: ignore[no-untyped-def]
-    """Memory for one `trace` at a time."""
-    return np.empty(STACK, _STACK_ITEM)
+@inlined
+def _intersect(
+    triangle: Float32[np.ndarray, "n 9"], i: int, o: Vector, d: Vector
+) -> tuple[float, float, float]:
+    """Distance and barycentric coordinates of a hit on one triangle; distance -1 for a miss."""
+    e1x, e1y, e1z = triangle[i, 3], triangle[i, 4], triangle[i, 5]
+    e2x, e2y, e2z = triangle[i, 6], triangle[i, 7], triangle[i, 8]
+    px, py, pz = d[1] * e2z - d[2] * e2y, d[2] * e2x - d[0] * e2z, d[0] * e2y - d[1] * e2x
+    det = e1x * px + e1y * py + e1z * pz
+    if det == 0.0:
+        return -1.0, 0.0, 0.0
+    inv = 1.0 / det
+    sx, sy, sz = o[0] - triangle[i, 0], o[1] - triangle[i, 1], o[2] - triangle[i, 2]
+    b1 = (sx * px + sy * py + sz * pz) * inv
+    if b1 < 0.0 or b1 > 1.0:
+        return -1.0, 0.0, 0.0
+    qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
+    b2 = (d[0] * qx + d[1] * qy + d[2] * qz) * inv
+    if b2 < 0.0 or b1 + b2 > 1.0:
+        return -1.0, 0.0, 0.0
+    return (e2x * qx + e2y * qy + e2z * qz) * inv, b1, b2
 
 
-@kernel
+@inlined
+def _inverse(x: float) -> np.float32:
+    return np.float32(1.0 / (x if abs(x) > 1e-12 else 1e-12))
+
+
+@inlined
+def _enter(
+    bounds: Float32[np.ndarray, "nodes 6"],
+    node: np.uint64,
+    o: tuple[np.float32, np.float32, np.float32],
+    inv: tuple[np.float32, np.float32, np.float32],
+    t: np.float32,
+) -> np.float32:
+    """Distance at which a ray enters the box of `node`, infinity where it misses."""
+    x0, x1 = (bounds[node, 0] - o[0]) * inv[0], (bounds[node, 3] - o[0]) * inv[0]
+    y0, y1 = (bounds[node, 1] - o[1]) * inv[1], (bounds[node, 4] - o[1]) * inv[1]
+    z0, z1 = (bounds[node, 2] - o[2]) * inv[2], (bounds[node, 5] - o[2]) * inv[2]
+    near = max(max(min(x0, x1), min(y0, y1)), max(min(z0, z1), np.float32(0.0)))
+    far = min(min(max(x0, x1), max(y0, y1)), min(max(z0, z1), t))
+    # a hair of slack, lest a ray slips between two boxes that touch
+    return near if near <= far * np.float32(1.000001) else np.float32(np.inf)
+
+
+@inlined
 def leaf_is_there(face: int, b1: float, b2: float, foliage: float) -> bool:
     """Whether a leaf card has a leaf at (b1, b2): the season thins cards, cells are holes."""
     if (hashed(face, 1, 7) & 0xFFFF) >= foliage * 65536.0:
         return False
     cell = int(b1 * LEAF_CELLS) * 16 + int(b2 * LEAF_CELLS)
     return (hashed(face, cell, 11) & 0xFFFF) < LEAF_SHARE * 65536.0
-
-
-@kernel
-def _enter(bounds, node, ox, oy, oz, ix, iy, iz, t):  # type: ignore[no-untyped-def]
-    """Distance at which a ray enters the box of `node`, infinity where it misses."""
-    x0, x1 = (bounds[node, 0] - ox) * ix, (bounds[node, 3] - ox) * ix
-    y0, y1 = (bounds[node, 1] - oy) * iy, (bounds[node, 4] - oy) * iy
-    z0, z1 = (bounds[node, 2] - oz) * iz, (bounds[node, 5] - oz) * iz
-    near = max(max(min(x0, x1), min(y0, y1)), max(min(z0, z1), np.float32(0.0)))
-    far = min(min(max(x0, x1), max(y0, y1)), min(max(z0, z1), t))
-    # float32 bounds: a hair of slack, lest a ray slips between two boxes that touch
-    return near if near <= far * np.float32(1.000001) else np.float32(np.inf)

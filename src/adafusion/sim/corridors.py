@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adafusion.sim.buildings import BUILDING_TYPES
+from adafusion.sim.buildings import BUILDING_TYPES, PLAIN
 from adafusion.sim.plan import Plan, Street, Zone, arc
 from adafusion.sim.shapes import Material, rectangle
 
@@ -127,7 +127,7 @@ def _build_hull(plan: Plan, index: int, x: float, y0: float, y1: float) -> None:
     hull = soup.add_object(
         "building", kind.tints[int(rng.integers(len(kind.tints)))], style=kind.style,
         pitch=kind.cell_m, floor=kind.floor_m, win_w=kind.window[0], win_h=kind.window[1],
-        second=kind.second, seed=int(rng.integers(1 << 20)), top=8.0, ground=0,
+        second=kind.second, seed=int(rng.integers(1 << 20)), top=8.0, ground=PLAIN,
     )  # fmt: skip
     roof = soup.add_object("building", (0.24, 0.24, 0.25))
     for side in (-1.0, 1.0):

@@ -6,17 +6,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from adafusion.sim.bvh import new_stack
 from adafusion.sim.conditions import Conditions
-from adafusion.sim.numeric import kernel, normal, uniform
-from adafusion.sim.scene import Scene, outdoor_length, trace_scene
+from adafusion.sim.numeric import Vector, inlined, kernel, normal, uniform
+from adafusion.sim.scene import Scene, outdoor_length, texture_uv, trace_scene
 from adafusion.sim.shapes import Material
-from adafusion.sim.textures import REFLECTIVITY, window_at
+from adafusion.sim.textures import REFLECTIVITY, SHOP_WINDOW, WINDOW, window_at
 
+SCATTER_REACH_M = 12.0  # droplets farther than about this are too faint to be detected
 _FACADE, _GLASS = int(Material.FACADE), int(Material.GLASS)
 
 
@@ -104,54 +106,82 @@ def scan_ranges(
 ) -> Float64[np.ndarray, "beams steps"]:
     """Range image in metres, 0 where no pulse was detected."""
     directions = ray_directions(lidar) @ T_world_lidar[:3, :3].T
-    settings = np.array(
-        [lidar.range_m, lidar.nearest_m, lidar.sigma_m, lidar.drop_out, lidar.power_half,
-         lidar.glass_loss, conditions.lidar_fog_per_m, conditions.lidar_scatter_per_m,
-         conditions.foliage]
-    )  # fmt: skip
+    sensor = _Sensor(
+        lidar.range_m,
+        lidar.nearest_m,
+        lidar.sigma_m,
+        lidar.drop_out,
+        lidar.power_half,
+        lidar.glass_loss,
+        conditions.lidar_fog_per_m,
+        conditions.lidar_scatter_per_m,
+        conditions.foliage,
+    )
+    x, y, z = T_world_lidar[:3, 3].tolist()
     ranges = np.zeros(directions.shape[:2])
-    _scan(scene, T_world_lidar[:3, 3].copy(), directions.reshape(-1, 3), settings, seed,
-          REFLECTIVITY, ranges.reshape(-1))  # fmt: skip
+    _scan(
+        scene, (x, y, z), directions.reshape(-1, 3), sensor, seed, REFLECTIVITY, ranges.reshape(-1)
+    )
     return ranges
 
 
+class _Sensor(NamedTuple):
+    """What a scan needs to know of sensor and weather, in a form that numba takes."""
+
+    range_m: float
+    nearest_m: float
+    sigma_m: float
+    drop_out: float
+    power_half: float
+    glass_loss: float
+    fog: float  # extinction, per metre
+    scatter: float  # returns from the air, per metre
+    foliage: float
+
+
 @kernel
-def _scan(scene, origin, directions, settings, seed, reflectivity, ranges):  # type: ignore[no-untyped-def]
-    range_m, nearest, sigma, drop_out, power_half = settings[:5]
-    glass_loss, fog, scatter, foliage = settings[5:9]
-    ox, oy, oz = origin
+def _scan(
+    scene: Scene,
+    o: Vector,
+    directions: Float64[np.ndarray, "rays 3"],
+    sensor: _Sensor,
+    seed: int,
+    reflectivity: Float64[np.ndarray, " materials"],
+    ranges: Float64[np.ndarray, " rays"],
+) -> None:
+    """Fill `ranges`, one ray at a time; each random number is a hash of (seed, ray, purpose)."""
     stack = new_stack()
     for i in range(len(directions)):
-        dx, dy, dz = directions[i]
-        t, face, b1, b2 = trace_scene(scene, stack, ox, oy, oz, dx, dy, dz, range_m, foliage)
+        d = directions[i, 0], directions[i, 1], directions[i, 2]
+        t, face, b1, b2 = trace_scene(scene, stack, o, d, sensor.range_m, sensor.foliage)
         open_air = 0.0
-        if fog > 0.0 or scatter > 0.0:
-            open_air = outdoor_length(scene.zones, ox, oy, oz, dx, dy, dz, t)
-        if scatter > 0.0:
-            # Beer and Lambert: the first droplet that answers, if it is before the wall
-            s = -math.log(uniform(seed, i, 3)) / scatter
-            if s < open_air and s > 0.3:
-                # far droplets answer too weakly to be seen
-                if uniform(seed, i, 4) < math.exp(-s / 12.0) and s > nearest:
-                    ranges[i] = s
-                    continue
-        if face < 0 or t < nearest or uniform(seed, i, 1) < drop_out:
+        if sensor.fog > 0.0 or sensor.scatter > 0.0:
+            open_air = outdoor_length(scene.zones, o, d, t)
+        if sensor.scatter > 0.0:
+            # Beer and Lambert: the first droplet met; a far one answers too weakly to be seen
+            s = -math.log(uniform(seed, i, 3)) / sensor.scatter
+            seen = uniform(seed, i, 4) < math.exp(-s / SCATTER_REACH_M)
+            if seen and sensor.nearest_m < s < open_air:
+                ranges[i] = s
+                continue
+        if face < 0 or t < sensor.nearest_m or uniform(seed, i, 1) < sensor.drop_out:
             continue
-        cosine = abs(
-            dx * scene.normal[face, 0] + dy * scene.normal[face, 1] + dz * scene.normal[face, 2]
-        )
-        material = scene.material[face]
-        rho = reflectivity[material]
-        pane = material == _GLASS
-        if material == _FACADE:
-            u, v = scene.uv[face, 0], scene.uv[face, 1]
-            u += b1 * (scene.uv[face, 2] - u) + b2 * (scene.uv[face, 4] - u)
-            v += b1 * (scene.uv[face, 3] - v) + b2 * (scene.uv[face, 5] - v)
-            kind, _, _ = window_at(scene.objects[scene.object_id[face]], u, v)
-            pane = kind == 1 or kind == 2
-        if pane and uniform(seed, i, 2) < glass_loss:
+        if _is_pane(scene, face, b1, b2) and uniform(seed, i, 2) < sensor.glass_loss:
             continue
-        power = rho * max(cosine, 1e-3) * math.exp(-2.0 * fog * open_air) / (t * t)
-        detected = 1.0 / (1.0 + (power_half / power) ** 3)
-        if uniform(seed, i, 5) < detected:
-            ranges[i] = t + sigma * normal(seed, i, 6)
+        n = scene.normal
+        cosine = abs(d[0] * n[face, 0] + d[1] * n[face, 1] + d[2] * n[face, 2])
+        rho = reflectivity[scene.material[face]]
+        power = rho * max(cosine, 1e-3) * math.exp(-2.0 * sensor.fog * open_air) / (t * t)
+        # logistic in log power
+        if uniform(seed, i, 5) < 1.0 / (1.0 + (sensor.power_half / power) ** 3):
+            ranges[i] = t + sensor.sigma_m * normal(seed, i, 6)
+
+
+@inlined
+def _is_pane(scene: Scene, face: int, b1: float, b2: float) -> bool:
+    """Whether a face is glass where the ray hits it."""
+    material = scene.material[face]
+    if material != _FACADE:
+        return material == _GLASS
+    u, v = texture_uv(scene, face, b1, b2)
+    return window_at(scene.objects[scene.object_id[face]], u, v)[0] in (WINDOW, SHOP_WINDOW)

@@ -14,6 +14,7 @@ import numba
 import numpy as np
 
 F = TypeVar("F", bound=Callable[..., object])
+Vector = tuple[float, float, float]  # of the world, or linear RGB
 
 
 def keyed_rng(*key: int | str) -> np.random.Generator:
@@ -37,13 +38,30 @@ def kernel(function: F) -> F:
     No threads inside: frames are rendered by processes, and a kernel that owns one core gives the
     same bytes on any number of them. Infinities stay legal, sums keep their order.
     """
+    return _compiled(function, forceinline=False)
+
+
+def inlined(function: F) -> F:
+    """Compile a part of a kernel into its callers.
+
+    A call would count the references of every array of a scene up and down.
+    """
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: F, *, forceinline: bool) -> F:
     # a run-time type checker may have wrapped the function; numba needs the bare one
     bare = inspect.unwrap(function)
-    fast = {"contract", "arcp", "nsz", "afn"}
-    return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fast)(bare)
+    return numba.njit(
+        cache=True,
+        nogil=True,
+        error_model="numpy",
+        fastmath={"contract", "arcp", "nsz", "afn"},
+        forceinline=forceinline,
+    )(bare)
 
 
-@kernel
+@inlined
 def hashed(a: int, b: int, c: int) -> int:
     """Hash three integers to 32 bits."""
     h = (a * 374761393 + b * 668265263 + c * 1440662683 + 0x27D4EB2F) & 0xFFFFFFFF
@@ -53,20 +71,20 @@ def hashed(a: int, b: int, c: int) -> int:
     return h ^ (h >> 15)
 
 
-@kernel
+@inlined
 def uniform(a: int, b: int, c: int) -> float:
     """Hash three integers to (0, 1)."""
     return (hashed(a, b, c) + 0.5) * (1.0 / 4294967296.0)
 
 
-@kernel
+@inlined
 def normal(a: int, b: int, c: int) -> float:
     """Hash three integers to a standard normal number (Box and Muller)."""
     radius = math.sqrt(-2.0 * math.log(uniform(a, b, 2 * c)))
     return radius * math.cos(2.0 * math.pi * uniform(a, b, 2 * c + 1))
 
 
-@kernel
+@inlined
 def value_noise(x: float, y: float, seed: int, mask: int = -1) -> float:
     """Smooth noise in (0, 1) that varies over about one unit; it tiles every `mask` + 1 units."""
     fx, fy = math.floor(x), math.floor(y)
@@ -78,17 +96,42 @@ def value_noise(x: float, y: float, seed: int, mask: int = -1) -> float:
     return low * (1.0 - v) + high * v
 
 
-@kernel
+@inlined
 def pulse(x: float, duty: float, width: float) -> float:
-    """Share of [x - width/2, x + width/2] on which frac(x) < duty: an anti-aliased stripe pattern."""
+    """Stripes without aliasing: the share of `width` around x on which frac(x) < duty."""
     width = max(width, 1e-4)
     a, b = x - 0.5 * width, x + 0.5 * width
     fa, fb = math.floor(a), math.floor(b)
     return (fb * duty + min(b - fb, duty) - fa * duty - min(a - fa, duty)) / width
 
 
-@kernel
+@inlined
 def smooth(low: float, high: float, x: float) -> float:
     """Cubic step from 0 at `low` to 1 at `high`."""
     t = min(max((x - low) / (high - low), 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t)
+
+
+@inlined
+def dot(a: Vector, b: Vector) -> float:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def step(a: Vector, b: Vector, t: float) -> Vector:
+    """a + t b."""
+    return a[0] + t * b[0], a[1] + t * b[1], a[2] + t * b[2]
+
+
+@inlined
+def unit(a: Vector) -> Vector:
+    """The vector over its length."""
+    size = math.sqrt(dot(a, a))
+    return a[0] / size, a[1] / size, a[2] / size
+
+
+@inlined
+def blend(a: Vector, b: Vector, t: float) -> Vector:
+    """From a at t = 0 to b at t = 1."""
+    return a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, a[2] + (b[2] - a[2]) * t

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -70,7 +71,7 @@ def plan_route(world: World) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.nda
         while hops[-1] != node:
             hops.append(int(previous[node, hops[-1]]))
         hops = [*hops[::-1], b if goal == a else a]
-        for start, end in zip(hops[:-1], hops[1:], strict=True):
+        for start, end in itertools.pairwise(hops):
             k = by_ends[frozenset((start, end))]
             order.append((k, world.streets[k].ends[0] != start))
             waiting.discard(k)
@@ -156,8 +157,7 @@ def _stand(
     world: World, xy: Float64[np.ndarray, " 2"], heading: float, roll: float, pitch: float
 ) -> Float64[np.ndarray, "4 4"]:
     """Pose of a vehicle on the ground, tilted by the slope and a little by its springs."""
-    probe = np.array([xy, xy + (1.0, 0.0), xy + (0.0, 1.0)])
-    z = world.hills(probe)
+    z = world.hills(xy + np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]))
     up = np.array([z[0] - z[1], z[0] - z[2], 1.0])
     forward = np.array([math.cos(heading), math.sin(heading), 0.0])
     left = np.array([-forward[1], forward[0], 0.0])

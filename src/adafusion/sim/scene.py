@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, UInt8
 
-from adafusion.sim.bvh import Bvh, build_bvh, trace
-from adafusion.sim.numeric import kernel
+from adafusion.sim.bvh import Bvh, Stack, build_bvh, trace
+from adafusion.sim.numeric import Vector, inlined
 from adafusion.sim.shapes import Material, Soup
 from adafusion.sim.world import World
 
@@ -68,53 +68,62 @@ def _uv_per_m(
     return np.sqrt(np.maximum((duv * slope).sum(axis=1), 0.0)).astype(np.float32)
 
 
-@kernel
-def trace_scene(scene, stack, ox, oy, oz, dx, dy, dz, t_max, foliage):  # type: ignore[no-untyped-def]
+@inlined
+def trace_scene(
+    scene: Scene, stack: Stack, o: Vector, d: Vector, t_max: float, foliage: float
+) -> tuple[float, int, float, float]:
     """Nearest hit over both trees, numbered as the scene's faces; see `bvh.trace`."""
-    t, face, b1, b2 = trace(scene.static, stack, ox, oy, oz, dx, dy, dz, t_max, False, foliage)
-    t2, face2, c1, c2 = trace(scene.moving, stack, ox, oy, oz, dx, dy, dz, t, False, foliage)
+    t, face, b1, b2 = trace(scene.static, stack, o, d, t_max, False, foliage)
+    t2, face2, c1, c2 = trace(scene.moving, stack, o, d, t, False, foliage)
     if face2 >= 0:
         return t2, face2 + len(scene.static.face), c1, c2
     return t, face, b1, b2
 
 
-@kernel
-def blocked(scene, stack, ox, oy, oz, dx, dy, dz, t_max, foliage):  # type: ignore[no-untyped-def]
+@inlined
+def blocked(scene: Scene, stack: Stack, o: Vector, d: Vector, t_max: float, foliage: float) -> bool:
     """Whether anything stands in the way within `t_max` metres."""
-    _, face, _, _ = trace(scene.static, stack, ox, oy, oz, dx, dy, dz, t_max, True, foliage)
-    if face >= 0:
+    if trace(scene.static, stack, o, d, t_max, True, foliage)[1] >= 0:
         return True
-    _, face, _, _ = trace(scene.moving, stack, ox, oy, oz, dx, dy, dz, t_max, True, foliage)
-    return face >= 0
+    return trace(scene.moving, stack, o, d, t_max, True, foliage)[1] >= 0
 
 
-@kernel
-def outdoor_length(zones, ox, oy, oz, dx, dy, dz, t):  # type: ignore[no-untyped-def]
+@inlined
+def outdoor_length(zones: Float64[np.ndarray, "z 7"], o: Vector, d: Vector, t: float) -> float:
     """Metres of a ray's first t that lie outside all indoor zones: weather stays out of doors."""
     length = t
     for k in range(len(zones)):
         enter, leave = 0.0, t
         for axis in range(3):
-            o = ox if axis == 0 else (oy if axis == 1 else oz)
-            d = dx if axis == 0 else (dy if axis == 1 else dz)
-            if abs(d) < 1e-12:
-                if o < zones[k, axis] or o > zones[k, 3 + axis]:
+            if abs(d[axis]) < 1e-12:
+                if o[axis] < zones[k, axis] or o[axis] > zones[k, 3 + axis]:
                     leave = -1.0
                 continue
-            a, b = (zones[k, axis] - o) / d, (zones[k, 3 + axis] - o) / d
+            a, b = (zones[k, axis] - o[axis]) / d[axis], (zones[k, 3 + axis] - o[axis]) / d[axis]
             enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
         length -= max(leave - enter, 0.0)
     return length
 
 
-@kernel
-def zone_of(zones, x, y, z):  # type: ignore[no-untyped-def]
+@inlined
+def zone_of(zones: Float64[np.ndarray, "z 7"], p: Vector) -> int:
     """Index of the indoor zone that holds a point, -1 out of doors."""
     for k in range(len(zones)):
         if (
-            zones[k, 0] <= x <= zones[k, 3]
-            and zones[k, 1] <= y <= zones[k, 4]
-            and zones[k, 2] <= z <= zones[k, 5]
+            zones[k, 0] <= p[0] <= zones[k, 3]
+            and zones[k, 1] <= p[1] <= zones[k, 4]
+            and zones[k, 2] <= p[2] <= zones[k, 5]
         ):
             return k
     return -1
+
+
+@inlined
+def texture_uv(scene: Scene, face: int, b1: float, b2: float) -> tuple[float, float]:
+    """Texture coordinates at barycentric coordinates (b1, b2) of a face."""
+    uv = scene.uv
+    u, v = uv[face, 0], uv[face, 1]
+    return (
+        u + b1 * (uv[face, 2] - u) + b2 * (uv[face, 4] - u),
+        v + b1 * (uv[face, 3] - v) + b2 * (uv[face, 5] - v),
+    )

@@ -138,7 +138,8 @@ class SoupBuilder:
         k = len(outline)
         fan = [(0, i, i + 1, min(i + 2, k - 1)) for i in range(1, k - 1, 2)]
         corners = np.array([[[*outline[j], z] for j in quad] for quad in fan])
-        self.quads(corners, material, object_id, corners[:, :, :2])
+        # from the first corner: world coordinates would make the texture mark the place
+        self.quads(corners, material, object_id, corners[:, :, :2] - outline[0])
 
     def block(
         self,

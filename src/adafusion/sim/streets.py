@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""The street graph and what is underfoot: a jittered grid with curves and diagonals, hills, kerbs."""
+"""The street graph and what is underfoot: a jittered grid, curves, diagonals, hills, kerbs."""
 
 from __future__ import annotations
 
