@@ -19,7 +19,23 @@ from adafusion.types import UserError
 
 T = TypeVar("T")
 
+
+def _whole(value: Any, kind: type) -> int:
+    """An int as the file means it: 47.5 is a mistake and not 47."""
+    if isinstance(value, bool) or float(value) != int(float(value)):
+        raise ValueError(f"{value!r} is no whole number")
+    return int(float(value))
+
+
+def _true_or_false(value: Any, kind: type) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError(f"{value!r} is neither true nor false")
+    return value
+
+
 _CONVERTER = cattrs.Converter(forbid_extra_keys=True)
+_CONVERTER.register_structure_hook(int, _whole)
+_CONVERTER.register_structure_hook(bool, _true_or_false)
 
 
 def load_config(cls: type[T], path: str | Path | None = None, overrides: Sequence[str] = ()) -> T:
@@ -31,13 +47,32 @@ def load_config(cls: type[T], path: str | Path | None = None, overrides: Sequenc
     values = {} if path is None else _read_yaml(Path(path))
     for override in overrides:
         _apply(values, override)
-    where = " ".join([*([str(path)] if path else []), *overrides]) or "defaults"
-    _refuse_unknown_keys(cls, values, where)
+    try:
+        return from_plain(cls, values)
+    except ValueError as error:
+        where = " ".join([*([str(path)] if path else []), *overrides]) or "defaults"
+        raise UserError(f"{where}: {error}") from error
+
+
+def from_plain(cls: type[T], values: Mapping[str, Any]) -> T:
+    """Build a nest of dataclasses from plain values, as YAML and JSON hold them.
+
+    What is left out takes its default. Raises ValueError that names the key, for a misspelt one
+    with what was probably meant.
+    """
+    if not isinstance(values, Mapping):
+        raise ValueError(f"{cls.__name__} must hold named values, not {values!r}")
+    _refuse_unknown_keys(cls, values)
     try:
         return _CONVERTER.structure(values, cls)
     except Exception as error:
         messages = cattrs.transform_error(error, path=cls.__name__, format_exception=_explain)
-        raise UserError(f"{where}: {'; '.join(messages)}") from error
+        raise ValueError("; ".join(messages)) from error
+
+
+def to_plain(config: Any) -> dict[str, Any]:
+    """Give a nest of dataclasses as values that YAML and JSON can hold."""
+    return _lists(_CONVERTER.unstructure(asdict(config)))
 
 
 def save_config(config: Any, path: str | Path) -> None:
@@ -47,8 +82,7 @@ def save_config(config: Any, path: str | Path) -> None:
 
 def dump_config(config: Any) -> str:
     """Give a configuration dataclass as YAML text."""
-    plain = _CONVERTER.unstructure(asdict(config))
-    return yaml.safe_dump(_lists(plain), sort_keys=False, default_flow_style=None, width=88)
+    return yaml.safe_dump(to_plain(config), sort_keys=False, default_flow_style=None, width=88)
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
@@ -78,7 +112,7 @@ def _apply(values: dict[str, Any], override: str) -> None:
     values[last] = yaml.safe_load(text)
 
 
-def _refuse_unknown_keys(cls: type, values: Mapping[str, Any], where: str, group: str = "") -> None:
+def _refuse_unknown_keys(cls: type, values: Mapping[str, Any], group: str = "") -> None:
     """Say which key is unknown and which one was probably meant; types are checked elsewhere."""
     known = get_type_hints(cls)
     names = [f.name for f in fields(cls)]
@@ -86,9 +120,9 @@ def _refuse_unknown_keys(cls: type, values: Mapping[str, Any], where: str, group
         if key not in names:
             near = difflib.get_close_matches(str(key), names, n=1)
             meant = f"did you mean {group}{near[0]}?" if near else f"choose from {', '.join(names)}"
-            raise UserError(f"{where}: unknown key {group}{key}; {meant}")
+            raise ValueError(f"unknown key {group}{key}; {meant}")
         if is_dataclass(known[key]) and isinstance(value, Mapping):
-            _refuse_unknown_keys(known[key], value, where, f"{group}{key}.")
+            _refuse_unknown_keys(known[key], value, f"{group}{key}.")
 
 
 def _explain(error: BaseException, kind: Any) -> str:

@@ -70,3 +70,10 @@ def test_a_missing_file_and_a_malformed_override_are_named(tmp_path: Path) -> No
         load_config(Config, tmp_path / "absent.yaml")
     with pytest.raises(UserError, match="key=value"):
         load_config(Config, None, ["rate"])
+
+
+@pytest.mark.parametrize("override", ["seed=3.5", "seed=true", "seed=many"])
+def test_a_count_is_a_whole_number(override: str) -> None:
+    with pytest.raises(UserError, match="seed"):
+        load_config(Config, None, [override])
+    assert load_config(Config, None, ["seed=1e3"]).seed == 1000

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from adafusion.config import from_plain, to_plain
 from adafusion.preprocess import Crop, Ground, ImageSettings, Preprocess, VoxelGrid
 
 SMALL = Preprocess(
@@ -45,13 +46,13 @@ def test_a_missing_sensor_stays_missing() -> None:
 
 
 def test_survives_the_way_through_json() -> None:
-    text = json.dumps(SMALL.to_dict())
-    assert Preprocess.from_dict(json.loads(text)) == SMALL
-    assert Preprocess.from_dict(json.loads(text)).fingerprint == SMALL.fingerprint
+    text = json.dumps(to_plain(SMALL))
+    assert from_plain(Preprocess, json.loads(text)) == SMALL
+    assert from_plain(Preprocess, json.loads(text)).fingerprint == SMALL.fingerprint
 
 
 def test_takes_the_default_for_what_is_left_out() -> None:
-    made = Preprocess.from_dict({"voxels": {"index": "round"}})
+    made = from_plain(Preprocess, {"voxels": {"index": "round"}})
     assert made == Preprocess(voxels=VoxelGrid(index="round"))
 
 
@@ -74,8 +75,8 @@ def test_takes_the_default_for_what_is_left_out() -> None:
     ],
 )
 def test_refuses_what_it_does_not_know(values: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=r"preprocess|unknown|shape|size"):
-        Preprocess.from_dict(values)
+    with pytest.raises(ValueError, match=r"Preprocess|unknown|shape|size|number"):
+        from_plain(Preprocess, values)
 
 
 @pytest.mark.parametrize(

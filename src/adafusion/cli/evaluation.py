@@ -185,6 +185,7 @@ def write_results(
     judged: Sequence[Judged], dataset: Dataset, out: Path, *, report: bool = True
 ) -> list[Path]:
     """Write result.json and report.html; give their paths."""
+    from adafusion.config import to_plain
     from adafusion.evaluation import result_record
     from adafusion.files import write_json
 
@@ -202,7 +203,7 @@ def write_results(
                 "name": j.name,
                 "fingerprint": j.model.fingerprint,
                 "preprocess_fingerprint": j.model.preprocess_fingerprint,
-                "config": j.model.config.to_dict(),
+                "config": to_plain(j.model.config),
                 "alpha": _alpha_record(j, dataset),
             },
             data=data,

@@ -4,14 +4,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+import json
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
+from adafusion.config import to_plain
 from adafusion.files import fingerprint
 from adafusion.models.attention import VALUE_CHANNELS, ChannelAttention, SpatialAttention
 from adafusion.models.backbones import Backbone, Conv, Conv3d, image_backbone, voxel_backbone
@@ -51,15 +53,6 @@ class ModelConfig:
             raise ValueError(f"attention_levels {self.attention_levels} must be 0 to {LEVELS}")
         if self.attention not in ("released", "paper"):
             raise ValueError(f"attention {self.attention!r}: choose released or paper")
-
-    def to_dict(self) -> dict[str, Any]:
-        """Give plain values, as a model file's header stores them."""
-        return {**asdict(self), "preprocess": self.preprocess.to_dict()}
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> ModelConfig:
-        """Read what `to_dict` gave; an unknown key is an error."""
-        return cls(**{**values, "preprocess": Preprocess.from_dict(values["preprocess"])})
 
 
 class AdaFusion(nn.Module):
@@ -129,7 +122,7 @@ class AdaFusion(nn.Module):
             for name, tensor in sorted(self.state_dict().items())
             for part in (name, tensor.detach().cpu().contiguous().numpy().tobytes())
         ]
-        return fingerprint(repr(self.config.to_dict()), *weights)
+        return fingerprint(json.dumps(to_plain(self.config), sort_keys=True), *weights)
 
     @property
     def preprocess_fingerprint(self) -> str:

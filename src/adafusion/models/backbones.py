@@ -110,9 +110,7 @@ def voxel_backbone(half: int = 128, width: float = 1.0) -> Backbone:
         [
             nn.Sequential(*_convs(Conv3d, 1, c1, c1), nn.AvgPool3d(2)),
             nn.Sequential(*_convs(Conv3d, c1, c2, c2, c2, c2), nn.AvgPool3d(2)),
-            nn.Sequential(
-                *_convs(Conv3d, c2, half, half), nn.BatchNorm3d(half), nn.AvgPool3d(2)
-            ),
+            nn.Sequential(*_convs(Conv3d, c2, half, half), nn.BatchNorm3d(half), nn.AvgPool3d(2)),
         ]
     )
 

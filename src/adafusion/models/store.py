@@ -14,6 +14,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
+from adafusion.config import from_plain, to_plain
 from adafusion.files import atomic_path
 from adafusion.models.adafusion import AdaFusion, ModelConfig
 from adafusion.types import UserError
@@ -44,7 +45,7 @@ def save_model(model: AdaFusion, path: str | Path, card: Mapping[str, Any] | Non
     weights = {key: value.detach().cpu().contiguous() for key, value in model.state_dict().items()}
     header = {
         "format": FORMAT,
-        "config": json.dumps(model.config.to_dict(), sort_keys=True),
+        "config": json.dumps(to_plain(model.config), sort_keys=True),
         "card": json.dumps(dict(card or {}), sort_keys=True, allow_nan=False),
     }
     with atomic_path(path) as temporary:
@@ -67,7 +68,7 @@ def read_header(path: str | Path) -> tuple[ModelConfig, dict[str, Any]]:
             "use `adafusion import-released` for the released code's checkpoints"
         )
     try:
-        config = ModelConfig.from_dict(json.loads(header["config"]))
+        config = from_plain(ModelConfig, json.loads(header["config"]))
         return config, json.loads(header["card"])
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: its header cannot be understood ({error})") from error

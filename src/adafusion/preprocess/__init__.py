@@ -4,18 +4,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import typing
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from adafusion.config import to_plain
 from adafusion.files import fingerprint
 from adafusion.preprocess.ground import Ground, remove_ground
 from adafusion.preprocess.image import Crop, ImageSettings, resize, to_unit
@@ -24,8 +21,6 @@ from adafusion.preprocess.voxels import VoxelGrid, to_float, voxelize
 __all__ = ["Crop", "Ground", "ImageSettings", "Preprocess", "VoxelGrid"]
 
 VERSION = 1  # raised when equal settings begin to give other numbers
-
-S = TypeVar("S")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,39 +63,5 @@ class Preprocess:
     @property
     def fingerprint(self) -> str:
         """Equal exactly when the settings, and the code's way with them, are equal."""
-        canonical = json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"))
+        canonical = json.dumps(to_plain(self), sort_keys=True, separators=(",", ":"))
         return fingerprint(f"preprocess {VERSION}", canonical)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Nested plain values that JSON can hold."""
-        return typing.cast("dict[str, Any]", _plain(dataclasses.asdict(self)))
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Preprocess:
-        """Undo `to_dict`. What is left out takes its default; an unknown name is a ValueError."""
-        return _build(cls, values, "preprocess")
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    return list(value) if isinstance(value, tuple) else value
-
-
-def _build(cls: type[S], values: object, where: str) -> S:
-    """Make the settings dataclass `cls`, and those inside it, from nested plain values."""
-    if not isinstance(values, Mapping):
-        raise ValueError(f"{where} must hold named settings, not {values!r}")
-    types = typing.get_type_hints(cls)
-    if unknown := sorted(set(values) - set(types)):
-        raise ValueError(f"unknown {where} settings {unknown}; choose from {sorted(types)}")
-    made: dict[str, Any] = {}
-    for name, value in values.items():
-        if dataclasses.is_dataclass(types[name]):
-            made[name] = _build(types[name], value, f"{where}.{name}")
-        else:
-            made[name] = tuple(value) if isinstance(value, list) else value
-    try:
-        return cls(**made)
-    except TypeError as error:
-        raise ValueError(f"{where} settings {dict(values)} do not fit: {error}") from error

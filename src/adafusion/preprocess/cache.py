@@ -38,6 +38,7 @@ from filelock import FileLock
 from jaxtyping import Bool, Float, Float32, Int, Shaped, UInt8
 from torch import Tensor
 
+from adafusion.config import to_plain
 from adafusion.files import fingerprint, write_json
 from adafusion.preprocess import Preprocess
 from adafusion.preprocess.ground import remove_ground
@@ -435,7 +436,7 @@ def _write_index(
         {
             "dataset": str(dataset.root),
             "dataset_fingerprint": dataset.fingerprint,
-            "preprocess": settings.to_dict(),
+            "preprocess": to_plain(settings),
             "frames": len(dataset.frames),
             "done": done,
             "rows_crc": rows_crc,
