@@ -51,7 +51,7 @@ BUILDING_TYPES = {
         ),
         second=(0.70, 0.68, 0.62),
         storeys=(2, 3), floor_m=2.9, cell_m=2.6, window=(0.40, 0.52),
-        width_m=(9, 17), depth_m=(9, 11), setback_m=1.0, gap_m=(0, 0.2),
+        width_m=(9.0, 17.0), depth_m=(9.0, 11.0), setback_m=1.0, gap_m=(0.0, 0.2),
         roof="gable", ground=DOORS, extras=("chimney", "bay"),
     ),
     "apartments": BuildingType(
@@ -62,7 +62,7 @@ BUILDING_TYPES = {
         ),
         second=(0.72, 0.70, 0.66),
         storeys=(4, 5), floor_m=3.0, cell_m=3.2, window=(0.42, 0.50),
-        width_m=(14, 26), depth_m=(11, 14), setback_m=1.5, gap_m=(0, 5),
+        width_m=(14.0, 26.0), depth_m=(11.0, 14.0), setback_m=1.5, gap_m=(0.0, 5.0),
         roof="flat", ground=DOORS, extras=("balcony",),
     ),
     "office": BuildingType(
@@ -72,7 +72,7 @@ BUILDING_TYPES = {
         ),
         second=(0.16, 0.17, 0.18),
         storeys=(4, 7), floor_m=3.6, cell_m=1.8, window=(0.92, 0.66),
-        width_m=(18, 32), depth_m=(14, 18), setback_m=4.0, gap_m=(4, 9),
+        width_m=(18.0, 32.0), depth_m=(14.0, 18.0), setback_m=4.0, gap_m=(4.0, 9.0),
         roof="flat", ground=SHOPS, extras=("wing",),
     ),
     "slab": BuildingType(
@@ -82,7 +82,7 @@ BUILDING_TYPES = {
         ),
         second=(0.30, 0.32, 0.36),
         storeys=(5, 8), floor_m=2.8, cell_m=3.6, window=(0.74, 0.46),
-        width_m=(22, 36), depth_m=(11, 13), setback_m=6.0, gap_m=(7, 14),
+        width_m=(22.0, 36.0), depth_m=(11.0, 13.0), setback_m=6.0, gap_m=(7.0, 14.0),
         roof="flat", ground=DOORS, extras=("balcony",),
     ),
     "shops": BuildingType(
@@ -92,7 +92,7 @@ BUILDING_TYPES = {
         ),
         second=(0.16, 0.22, 0.20),
         storeys=(2, 3), floor_m=3.3, cell_m=2.5, window=(0.44, 0.50),
-        width_m=(8, 15), depth_m=(10, 13), setback_m=0.3, gap_m=(0, 0),
+        width_m=(8.0, 15.0), depth_m=(10.0, 13.0), setback_m=0.3, gap_m=(0.0, 0.0),
         roof="flat", ground=SHOPS, extras=("awning",),
     ),
     "stone": BuildingType(
@@ -102,7 +102,7 @@ BUILDING_TYPES = {
         ),
         second=(0.62, 0.58, 0.50),
         storeys=(3, 4), floor_m=3.7, cell_m=2.4, window=(0.40, 0.62),
-        width_m=(13, 22), depth_m=(11, 14), setback_m=1.0, gap_m=(0, 3),
+        width_m=(13.0, 22.0), depth_m=(11.0, 14.0), setback_m=1.0, gap_m=(0.0, 3.0),
         roof="hip", ground=DOORS, extras=("cornice", "bay"),
     ),
     "warehouse": BuildingType(
@@ -112,7 +112,7 @@ BUILDING_TYPES = {
         ),
         second=(0.20, 0.22, 0.25),
         storeys=(2, 2), floor_m=3.6, cell_m=6.0, window=(0.55, 0.22),
-        width_m=(24, 38), depth_m=(15, 20), setback_m=5.0, gap_m=(6, 12),
+        width_m=(24.0, 38.0), depth_m=(15.0, 20.0), setback_m=5.0, gap_m=(6.0, 12.0),
         roof="gable", ground=GATES,
     ),
     "house": BuildingType(
@@ -122,7 +122,7 @@ BUILDING_TYPES = {
         ),
         second=(0.46, 0.44, 0.42),
         storeys=(1, 2), floor_m=2.8, cell_m=3.0, window=(0.42, 0.46),
-        width_m=(9, 13), depth_m=(8, 10), setback_m=5.0, gap_m=(4, 9),
+        width_m=(9.0, 13.0), depth_m=(8.0, 10.0), setback_m=5.0, gap_m=(4.0, 9.0),
         roof="gable", ground=DOORS, extras=("chimney", "porch", "hedge"),
     ),
     "timber": BuildingType(
@@ -132,7 +132,7 @@ BUILDING_TYPES = {
         ),
         second=(0.66, 0.66, 0.64),
         storeys=(2, 4), floor_m=3.0, cell_m=2.9, window=(0.52, 0.60),
-        width_m=(12, 20), depth_m=(10, 12), setback_m=2.5, gap_m=(3, 7),
+        width_m=(12.0, 20.0), depth_m=(10.0, 12.0), setback_m=2.5, gap_m=(3.0, 7.0),
         roof="flat", ground=DOORS, extras=("wing", "balcony"),
     ),
 }  # fmt: skip
@@ -244,7 +244,7 @@ class _House:
         material: Material, owner: int, lid: bool = True,
     ) -> None:  # fmt: skip
         """Add a box; one of facade gets windows and, with `lid`, a roof."""
-        base = self.place([(x0, y1, 0), (x1, y1, 0), (x1, y0, 0), (x0, y0, 0)])[:, :2]
+        base = self.place([(x0, y1, 0.0), (x1, y1, 0.0), (x1, y0, 0.0), (x0, y0, 0.0)])[:, :2]
         bottom, top = self.ground + z0, self.ground + z1
         if material == Material.FACADE:
             self.soup.walls(
@@ -261,12 +261,12 @@ def _add_flat_roof(house: _House, rng: np.random.Generator) -> None:
     _, _, _, half_w, half_d = house.rect
     depth, height = 2 * half_d, house.height
     outline = house.place(
-        [(-half_w, depth, 0), (half_w, depth, 0), (half_w, 0, 0), (-half_w, 0, 0)]
+        [(-half_w, depth, 0.0), (half_w, depth, 0.0), (half_w, 0.0, 0.0), (-half_w, 0.0, 0.0)]
     )
     house.soup.cap(outline[:, :2], house.ground + height, Material.ROOF, house.roof)
     for x0, x1, y0, y1 in (
         (-half_w, half_w, -0.12, 0.14), (-half_w, half_w, depth - 0.14, depth + 0.12),
-        (-half_w - 0.12, -half_w + 0.14, 0, depth), (half_w - 0.14, half_w + 0.12, 0, depth),
+        (-half_w - 0.12, -half_w + 0.14, 0.0, depth), (half_w - 0.14, half_w + 0.12, 0.0, depth),
     ):  # fmt: skip
         house.box(x0, x1, y0, y1, height - 0.25, height + 0.5, Material.PLAIN, house.trim)
     if rng.random() < 0.6:

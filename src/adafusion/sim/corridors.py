@@ -87,8 +87,9 @@ def _build_inside(plan: Plan, index: int, x: float, y0: float, y1: float) -> Non
     paint = plan.rng("corridor", index, "paint")
     floor = soup.add_object("corridor", (0.30, 0.29, 0.27))
     ceiling = soup.add_object("corridor", (0.66, 0.66, 0.64))
-    _sheet(plan, _level(x, WIDTH_M / 2, y0, y1, 0), Material.FLOOR, floor)
-    _sheet(plan, _level(x, WIDTH_M / 2, y0, y1, h), Material.CEILING, ceiling)
+    lap = WIDTH_M / 2 + 0.05  # under the walls: no ray slips out along an edge
+    _sheet(plan, _level(x, lap, y0, y1, 0.0), Material.FLOOR, floor)
+    _sheet(plan, _level(x, lap, y0, y1, h), Material.CEILING, ceiling)
     for side in (-1.0, 1.0):
         wall, y = x + side * WIDTH_M / 2, y0
         while y < y1 - 1e-6:
@@ -96,7 +97,7 @@ def _build_inside(plan: Plan, index: int, x: float, y0: float, y1: float) -> Non
             end = y1 if y1 - end < 5.0 else end
             tint = _PAINTS[paint.integers(len(_PAINTS))] * paint.uniform(0.85, 1.1)
             section = soup.add_object("corridor", tint, style=int(paint.integers(4)))
-            _sheet(plan, _on_wall(wall, y, end, 0, h), Material.WALL, section)
+            _sheet(plan, _on_wall(wall, y, end, 0.0, h), Material.WALL, section)
             y = end
         near = wall - side * 0.004  # far less than the LiDAR's noise
         y = y0 + float(paint.uniform(2.0, 6.0))
@@ -104,7 +105,7 @@ def _build_inside(plan: Plan, index: int, x: float, y0: float, y1: float) -> Non
             if paint.random() < 0.62:
                 tint = (0.34, 0.22, 0.12) if paint.random() < 0.6 else (0.42, 0.45, 0.48)
                 door = soup.add_object("door", tint, style=int(paint.integers(3)))
-                _sheet(plan, _on_wall(near, y, y + 0.95, 0, 2.1), Material.DOOR, door)
+                _sheet(plan, _on_wall(near, y, y + 0.95, 0.0, 2.1), Material.DOOR, door)
             else:
                 width = float(paint.uniform(0.8, 2.2))
                 tint = paint.uniform(0.15, 0.75, 3)

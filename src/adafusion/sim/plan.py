@@ -54,7 +54,7 @@ class Zone:
 
     def contains(self, x: float, y: float, margin: float = 0.0) -> bool:
         """Whether (x, y) lies within `margin` metres of the box."""
-        return (
+        return bool(
             self.lower[0] - margin <= x <= self.upper[0] + margin
             and self.lower[1] - margin <= y <= self.upper[1] + margin
         )

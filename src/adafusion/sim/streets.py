@@ -40,9 +40,9 @@ def lay_out_streets(plan: Plan) -> None:
     grid = {}
     for i in range(spec.columns):
         for j in range(spec.rows):
-            jitter = rng.uniform(-6.5, 6.5, 2)
+            dx, dy = rng.uniform(-6.5, 6.5, 2).tolist()
             grid[i, j] = len(plan.nodes)
-            plan.nodes.append((x[i] + jitter[0], y[j] + jitter[1]))
+            plan.nodes.append((float(x[i]) + dx, float(y[j]) + dy))
     edges = [((i, j), (i + 1, j)) for i in range(spec.columns - 1) for j in range(spec.rows)]
     edges += [((i, j), (i, j + 1)) for i in range(spec.columns) for j in range(spec.rows - 1)]
     curved = set(rng.permutation(len(edges))[: max(1, len(edges) // 7)].tolist())

@@ -235,7 +235,7 @@ def build_vehicles(
                 if rng.random() < parked * busyness:
                     s += float(rng.uniform(-0.4, 0.4))
                     lateral = PARKING_M + float(rng.uniform(-0.15, 0.15))
-                    put(rng, s, side, lateral, float(rng.normal(0.0, 0.02)))
+                    put(rng, s, float(side), lateral, float(rng.normal(0.0, 0.02)))
         rng = keyed_rng(run_seed, "street", e, "traffic")
         count = rng.poisson(traffic * length / 40.0)
         for s in rng.uniform(20.0, max(length - 20.0, 21.0), count).tolist():
