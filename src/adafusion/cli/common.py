@@ -49,9 +49,12 @@ def choose_frames(dataset: Dataset, runs: str | None = None, frames: str = "::")
             f"{dataset.root} has no run {', '.join(unknown)}: choose from {', '.join(dataset.runs)}"
         )
     try:
-        bounds = [int(part) if part else None for part in frames.split(":")]
-        kept = slice(*bounds) if ":" in frames else slice(bounds[0], (bounds[0] or 0) + 1)
-    except (ValueError, TypeError):
+        start, stop, step = (int(part) if part else None for part in f"{frames}::".split(":")[:3])
+        kept = slice(start, stop, step)
+        range(0)[kept]  # refuses a step of zero
+        if ":" not in frames or frames.count(":") > 2:
+            raise ValueError
+    except ValueError:
         raise UserError(f"--frames {frames!r}: write START:STOP:STEP, as in ::2 or 1::2") from None
     chosen = [
         frame
