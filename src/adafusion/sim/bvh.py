@@ -21,6 +21,7 @@ STACK = 64
 _NONE, _ONE = np.uint64(0), np.uint64(1)  # unsigned: numba need not look for negative indices
 Stack = np.ndarray  # of _STACK_ITEM: nodes still to be visited, and where the ray enters them
 _STACK_ITEM = np.dtype([("node", np.uint32), ("entry", np.float64)], align=True)
+EDGE = 1e-8  # triangles overlap by this share of an edge, so that no ray slips between them
 LEAF_CELLS = 5.0  # a leaf card is cut into cells of 1/5 of its edges ...
 LEAF_SHARE = 0.62  # ... of which this share is there: the rest lets light and pulses through
 
@@ -210,11 +211,11 @@ def _intersect(
     inv = 1.0 / det
     sx, sy, sz = o[0] - triangle[i, 0], o[1] - triangle[i, 1], o[2] - triangle[i, 2]
     b1 = (sx * px + sy * py + sz * pz) * inv
-    if b1 < 0.0 or b1 > 1.0:
+    if b1 < -EDGE or b1 > 1.0 + EDGE:
         return -1.0, 0.0, 0.0
     qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
     b2 = (d[0] * qx + d[1] * qy + d[2] * qz) * inv
-    if b2 < 0.0 or b1 + b2 > 1.0:
+    if b2 < -EDGE or b1 + b2 > 1.0 + EDGE:
         return -1.0, 0.0, 0.0
     return (e2x * qx + e2y * qy + e2z * qz) * inv, b1, b2
 

@@ -14,7 +14,7 @@ from jaxtyping import Float, Float32, Float64
 from adafusion.sim.bvh import new_stack
 from adafusion.sim.conditions import Conditions
 from adafusion.sim.numeric import Vector, inlined, kernel, normal, uniform
-from adafusion.sim.scene import Scene, outdoor_length, texture_uv, trace_scene
+from adafusion.sim.scene import Scene, outdoor_length, texture_uv, trace_scene, zone_of
 from adafusion.sim.shapes import Material
 from adafusion.sim.textures import REFLECTIVITY, SHOP_WINDOW, WINDOW, window_at
 
@@ -151,6 +151,7 @@ def _scan(
 ) -> None:
     """Fill `ranges`, one ray at a time; each random number is a hash of (seed, ray, purpose)."""
     stack = new_stack()
+    indoors = zone_of(scene.zones, o) >= 0
     for i in range(len(directions)):
         d = directions[i, 0], directions[i, 1], directions[i, 2]
         t, face, b1, b2 = trace_scene(scene, stack, o, d, sensor.range_m, sensor.foliage)
@@ -159,9 +160,10 @@ def _scan(
             open_air = outdoor_length(scene.zones, o, d, t)
         if sensor.scatter > 0.0:
             # Beer and Lambert: the first droplet met; a far one answers too weakly to be seen
-            s = -math.log(uniform(seed, i, 3)) / sensor.scatter
+            wet = -math.log(uniform(seed, i, 3)) / sensor.scatter
+            s = wet + (t - open_air if indoors else 0.0)
             seen = uniform(seed, i, 4) < math.exp(-s / SCATTER_REACH_M)
-            if seen and sensor.nearest_m < s < open_air:
+            if seen and wet < open_air and s > sensor.nearest_m:
                 ranges[i] = s
                 continue
         if face < 0 or t < sensor.nearest_m or uniform(seed, i, 1) < sensor.drop_out:

@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""From a seed to a dataset on disk: whole, repeatable, resumable, and never called real."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adafusion.datasets import Dataset
+from adafusion.sim.simulate import conditions_of, simulate
+from adafusion.types import UserError
+
+RUNS = ["day", "night"]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    out = tmp_path_factory.mktemp("sim") / "world"
+    return simulate(out, seed=3, runs=RUNS, profile="tiny", places=3)
+
+
+def contents(dataset: Dataset) -> dict[str, bytes]:
+    paths = (path for path in dataset.root.rglob("*") if path.is_file())
+    return {path.relative_to(dataset.root).as_posix(): path.read_bytes() for path in paths}
+
+
+def test_it_writes_a_dataset_that_says_it_is_synthetic(dataset: Dataset) -> None:
+    assert dataset.info.synthetic is True
+    assert dataset.runs == ("day", "night")
+    assert len(dataset.frames) == 6
+    assert set(dataset.info.regions) == {"test", "validation"}
+    assert set(dataset.info.sensors["conditions"]) == set(RUNS)
+    for frame in dataset.frames:
+        seen = dataset.load(frame)
+        assert seen.image is not None
+        assert seen.image.shape == (75, 100, 3)
+        assert seen.points_body is not None
+        assert len(seen.points_body) > 2000
+        assert frame.zone in {"street", "park", "path", "corridor"}
+        assert frame.T_world_body is not None
+
+
+def test_the_ground_is_near_zero_in_the_body_frame(dataset: Dataset) -> None:
+    for frame in dataset.frames:
+        points = dataset.load(frame).points_body
+        assert points is not None
+        low = points[(np.hypot(points[:, 0], points[:, 1]) < 9.0) & (points[:, 2] < 0.5)]
+        assert abs(np.median(low[:, 2])) < 0.12
+
+
+@pytest.mark.slow
+def test_it_writes_the_same_bytes_with_two_workers(dataset: Dataset, tmp_path: Path) -> None:
+    two = simulate(tmp_path / "two", seed=3, runs=RUNS, profile="tiny", places=3, workers=2)
+    assert contents(two) == contents(dataset)
+
+
+def test_another_seed_is_another_world(dataset: Dataset, tmp_path: Path) -> None:
+    other = simulate(tmp_path / "other", seed=4, runs=["day"], profile="tiny", places=1)
+    first = dataset.load(dataset.frames[0]).image
+    assert not np.array_equal(other.load(other.frames[0]).image, first)
+
+
+def test_a_repeat_draws_its_own_noise_and_traffic(tmp_path: Path) -> None:
+    out = simulate(tmp_path / "twice", seed=3, runs=["day", "day-2"], profile="tiny", places=1)
+    a, b = (out.load(frame).points_body for frame in out.frames)
+    assert a is not None
+    assert b is not None
+    assert a.shape != b.shape or not np.array_equal(a, b)
+    assert conditions_of(3, "day") != conditions_of(3, "day-2")
+
+
+def test_it_goes_on_where_it_was_cut_off(dataset: Dataset, tmp_path: Path) -> None:
+    def cut_off(
+        items: Iterable[object], *, total: int | None = None, desc: str = ""
+    ) -> Iterator[object]:
+        for k, item in enumerate(items):
+            if k == 2:
+                raise KeyboardInterrupt
+            yield item
+
+    counted: list[int | None] = []
+
+    def count(
+        items: Iterable[object], *, total: int | None = None, desc: str = ""
+    ) -> Iterable[object]:
+        counted.append(total)
+        return items
+
+    out = tmp_path / "resumed"
+    settings = {"seed": 3, "runs": RUNS, "profile": "tiny", "places": 3}
+    with pytest.raises(KeyboardInterrupt):
+        simulate(out, **settings, progress=cut_off)
+    assert not out.exists()
+    resumed = simulate(out, **settings, progress=count)
+    assert counted == [3]
+    assert contents(resumed) == contents(dataset)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"runs": ["noon"]}, "'noon'"),
+        ({"runs": ["day", "day"]}, "each once"),
+        ({"runs": []}, "one or more"),
+        ({"profile": "huge"}, "tiny, small, full"),
+        ({"regions": "none"}, "all-test"),
+        ({"places": 0}, "places"),
+        ({"workers": 0}, "workers"),
+    ],
+)
+def test_bad_wishes_are_answered_before_anything_is_written(
+    wrong: dict[str, object], message: str, tmp_path: Path
+) -> None:
+    wishes = {"seed": 3, "runs": ["day"], "profile": "tiny", "places": 1, **wrong}
+    with pytest.raises(UserError, match=message):
+        simulate(tmp_path / "none", **wishes)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_world_that_is_there_is_left_alone(dataset: Dataset) -> None:
+    with pytest.raises(UserError, match="exists"):
+        simulate(dataset.root, seed=3, runs=RUNS, profile="tiny", places=3)
