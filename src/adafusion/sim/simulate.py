@@ -9,12 +9,14 @@ import re
 import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float32, UInt8
 
 from adafusion.datasets.native import (
     Dataset,
@@ -118,8 +120,8 @@ def simulate(
         raise UserError(f"places = {places}: a run needs one at least")
     if workers < 1:
         raise UserError(f"workers = {workers}: one process is the least")
-    job = _Job(seed=seed, runs=tuple(runs), profile=profile, places=places)
-    studio = _Studio(job)
+    job = Job(seed=seed, runs=tuple(runs), profile=profile, places=places)
+    studio = Studio(job)
     drives = {run: studio.drive(run) for run in runs}
     info = _describe(job, studio.world, regions)
     with DatasetWriter(out, info) as writer:
@@ -147,7 +149,7 @@ def conditions_of(seed: int, run: str) -> Conditions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Job:
+class Job:
     """All that decides the bytes of a frame; small, so that it travels to other processes."""
 
     seed: int
@@ -156,10 +158,10 @@ class _Job:
     places: int | None
 
 
-class _Studio:
-    """One process's world, and the scene of the run that it rendered last."""
+class Studio:
+    """The world of a job, and the scene of the run that was seen last."""
 
-    def __init__(self, job: _Job) -> None:
+    def __init__(self, job: Job) -> None:
         self.job = job
         self.profile = PROFILES[job.profile]
         self.world: World = build_world(self.profile.spec(job.seed))
@@ -167,45 +169,60 @@ class _Studio:
         self._run: tuple[str, Drive, Scene] | None = None
 
     def drive(self, run: str) -> Drive:
-        """Keyframes of a run."""
-        seed = self.job.seed
-        return drive(
-            self.world,
-            conditions_of(seed, run),
-            keyed_seed(seed, "run", run),
-            places=self.job.places,
-        )
+        """Where the frames of a run are."""
+        conditions, run_seed = conditions_of(self.job.seed, run), self._run_seed(run)
+        return drive(self.world, conditions, run_seed, places=self.job.places)
 
-    def observe(self, run: str, k: int) -> tuple[int, Observation]:
-        """Timestamp and observation of the k-th frame of a run."""
-        conditions, run_seed = (
-            conditions_of(self.job.seed, run),
-            keyed_seed(self.job.seed, "run", run),
-        )
+    def scene(self, run: str) -> tuple[Drive, Scene]:
+        """The world as this run finds it, with the run's own vehicles."""
         if self._static is None:
             self._static = build_static(self.world)
         if self._run is None or self._run[0] != run:
-            way = self.drive(run)
+            way, conditions = self.drive(run), conditions_of(self.job.seed, run)
             vehicles = build_vehicles(
                 self.world,
-                run_seed,
+                self._run_seed(run),
                 conditions.parked_density,
                 conditions.traffic_density,
                 way.path,
             )
             self._run = run, way, build_scene(self.world, self._static, vehicles)
-        _, way, scene = self._run
-        seed = keyed_seed(self.job.seed, "run", run, "frame", k)
-        T = way.T_world_body[k]
-        image = photograph(
-            scene, self.world.lamps, self.profile.camera, conditions, T, seed, run_seed
+        return self._run[1:]
+
+    def image(self, run: str, k: int) -> UInt8[np.ndarray, "h w 3"]:
+        """What the camera saw at the k-th frame of a run."""
+        way, scene = self.scene(run)
+        return photograph(
+            scene,
+            self.world.lamps,
+            self.profile.camera,
+            conditions_of(self.job.seed, run),
+            way.T_world_body[k],
+            self._frame_seed(run, k),
+            self._run_seed(run),
         )
-        points = scan(scene, self.profile.lidar, conditions, T, seed)
-        return int(way.timestamp_us[k]), Observation(image, points)
+
+    def points(self, run: str, k: int) -> Float32[np.ndarray, "n 3"]:
+        """What the LiDAR saw at the k-th frame of a run, in the body frame."""
+        way, scene = self.scene(run)
+        conditions = conditions_of(self.job.seed, run)
+        seed = self._frame_seed(run, k)
+        return scan(scene, self.profile.lidar, conditions, way.T_world_body[k], seed)
+
+    def observe(self, run: str, k: int) -> tuple[int, Observation]:
+        """Timestamp in microseconds and observation of the k-th frame of a run."""
+        way, _ = self.scene(run)
+        return int(way.timestamp_us[k]), Observation(self.image(run, k), self.points(run, k))
+
+    def _run_seed(self, run: str) -> int:
+        return keyed_seed(self.job.seed, "run", run)
+
+    def _frame_seed(self, run: str, k: int) -> int:
+        return keyed_seed(self.job.seed, "run", run, "frame", k)
 
 
 def _render(
-    studio: _Studio, folder: Path, todo: Sequence[tuple[str, int]], workers: int
+    studio: Studio, folder: Path, todo: Sequence[tuple[str, int]], workers: int
 ) -> Iterable[tuple[str, int]]:
     """Render and write frames, yielding each that is done."""
     if workers == 1 or len(todo) < 2:
@@ -222,21 +239,26 @@ def _render(
     ) as pool:
         try:
             yield from pool.map(_work, todo[1:], chunksize=8)
+        except BrokenProcessPool as error:
+            raise RuntimeError(
+                f"a rendering process was killed (out of memory?): {folder} keeps whole frames, "
+                f"repeat the command, with fewer workers if need be"
+            ) from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
-_worker: tuple[_Studio, Path] | None = None  # of a rendering process
+_worker: tuple[Studio, Path] | None = None  # of a rendering process
 
 
-def _start_worker(job: _Job, folder: Path) -> None:
+def _start_worker(job: Job, folder: Path) -> None:
     global _worker
     parent = parent_process()
     if parent is not None:  # a killed parent must not leave its workers rendering
         watch = [parent.sentinel]
         threading.Thread(target=lambda: (wait(watch), os._exit(1)), daemon=True).start()
-    _worker = _Studio(job), folder
+    _worker = Studio(job), folder
 
 
 def _work(task: tuple[str, int]) -> tuple[str, int]:
@@ -261,7 +283,7 @@ def _frame(run: str, way: Drive, k: int) -> Frame:
     )
 
 
-def _describe(job: _Job, world: World, regions: str) -> DatasetInfo:
+def _describe(job: Job, world: World, regions: str) -> DatasetInfo:
     profile = PROFILES[job.profile]
     places = "all places" if job.places is None else f"{job.places} places a run"
     return DatasetInfo(
