@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_origin, get_type_hints
 
 import cattrs
 import cattrs.v
@@ -33,9 +33,32 @@ def _true_or_false(value: Any, kind: type) -> bool:
     return value
 
 
-_CONVERTER = cattrs.Converter(forbid_extra_keys=True)
-_CONVERTER.register_structure_hook(int, _whole)
-_CONVERTER.register_structure_hook(bool, _true_or_false)
+def _from_list(kind: Any) -> Callable[[Any, Any], Any]:
+    """Tuples from lists alone: a text would fall into its letters."""
+    structure = _PLAIN.get_structure_hook(kind)
+
+    def from_list(value: Any, kind: Any) -> Any:
+        if isinstance(value, str):
+            raise ValueError(f"{value!r} is one text; write a list, [{value}]")
+        return structure(value, kind)
+
+    return from_list
+
+
+def _is_tuple(kind: Any) -> bool:
+    origin: Any = get_origin(kind)
+    return origin is tuple
+
+
+def _strict() -> cattrs.Converter:
+    converter = cattrs.Converter(forbid_extra_keys=True)
+    converter.register_structure_hook(int, _whole)
+    converter.register_structure_hook(bool, _true_or_false)
+    return converter
+
+
+_PLAIN, _CONVERTER = _strict(), _strict()
+_CONVERTER.register_structure_hook_factory(_is_tuple, _from_list)
 
 
 def load_config(cls: type[T], path: str | Path | None = None, overrides: Sequence[str] = ()) -> T:
@@ -109,7 +132,10 @@ def _apply(values: dict[str, Any], override: str) -> None:
         if not isinstance(inner, dict):
             raise UserError(f"override {override!r}: {group} is a value, not a group of keys")
         values = inner
-    values[last] = yaml.safe_load(text)
+    try:
+        values[last] = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise UserError(f"override {override!r}: {text!r} is no YAML value: {error}") from error
 
 
 def _refuse_unknown_keys(cls: type, values: Mapping[str, Any], group: str = "") -> None:

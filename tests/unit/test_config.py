@@ -77,3 +77,10 @@ def test_a_count_is_a_whole_number(override: str) -> None:
     with pytest.raises(UserError, match="seed"):
         load_config(Config, None, [override])
     assert load_config(Config, None, ["seed=1e3"]).seed == 1000
+
+
+def test_a_text_is_no_list_and_broken_yaml_is_no_value() -> None:
+    with pytest.raises(UserError, match="write a list"):
+        load_config(Config, None, ["init=runs/a/model.safetensors"])
+    with pytest.raises(UserError, match="YAML"):
+        load_config(Config, None, ["rate=[1"])

@@ -103,8 +103,10 @@ def test_without_a_sensor_the_other_half_alone_is_given() -> None:
     assert no_image.image_half is None
     assert torch.equal(no_image.lidar_half, whole.lidar_half)
     assert torch.equal(no_cloud.image_half, whole.image_half)
-    with pytest.raises(ValueError, match="neither"):
+    with pytest.raises(ValueError, match="nothing"):
         model(None, None)
+    with pytest.raises(ValueError, match="nothing"):
+        build(system="image")(None, voxels)
 
 
 def test_one_frame_is_a_row_of_a_batch() -> None:
@@ -170,6 +172,15 @@ def test_describe_turns_batches_into_arrays_and_leaves_the_mode_alone() -> None:
     assert d.fused is not None
     assert d.fused.shape == (5, 16)
     assert d.fused.dtype == np.float32
+
+
+def test_a_described_model_can_still_learn() -> None:
+    model = build()
+    describe(model, [batch(1)])
+    fused = model.train()(*batch(2)).fused
+    assert fused is not None
+    fused.sum().backward()
+    assert all(p.grad is not None for p in model.parameters())
 
 
 def test_a_model_file_carries_its_preprocessing_and_identity(tmp_path: Path) -> None:

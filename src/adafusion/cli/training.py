@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -18,11 +18,12 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
 
     from adafusion.datasets import Dataset
-    from adafusion.models import AdaFusion
     from adafusion.preprocess import Preprocess
     from adafusion.preprocess.cache import PreparedSet
     from adafusion.training import Step
 
+Accelerator = Literal["auto", "cpu", "cuda"]
+Precision = Literal["32-true", "bf16-mixed"]  # 16-mixed scales losses by a state no resume keeps
 DONE = "done"  # a phase of a staged training that ran to its end
 
 
@@ -37,12 +38,17 @@ def train(
     ] = None,
     validation: Annotated[
         list[Path] | None,
-        typer.Option(help="Dataset to choose by; default: the validation region of DATASETS."),
+        typer.Option(
+            help="Dataset to choose by: its validation region, or all of it where it names no "
+            "regions. Default: the validation region of DATASETS."
+        ),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where OUT stopped.")] = False,
     cache: Annotated[Path | None, typer.Option(help="Folder of preprocessed frames.")] = None,
-    accelerator: Annotated[str, typer.Option(help="auto, cpu, gpu or mps.")] = "auto",
-    precision: Annotated[str, typer.Option(help="32-true, bf16-mixed or 16-mixed.")] = "32-true",
+    accelerator: Annotated[
+        Accelerator, typer.Option(help="auto: an NVIDIA GPU where there is one, else the CPU.")
+    ] = "auto",
+    precision: Annotated[Precision, typer.Option(help="Of the network's arithmetic.")] = "32-true",
 ) -> None:
     """Train a model on prepared or simulated datasets.
 
@@ -54,7 +60,8 @@ def train(
     Example: adafusion train runs/mine data/world-1 data/world-2 --config configs/small.yaml
     Example: adafusion train runs/paper data/nclt --config configs/paper.yaml --accelerator gpu
     """
-    from adafusion.config import load_config
+    from adafusion.config import load_config, save_config
+    from adafusion.evaluation import validation_recall
     from adafusion.provenance import git_commit, software_versions
     from adafusion.training import TrainConfig, phases
     from adafusion.training import train as run
@@ -66,7 +73,8 @@ def train(
     rows = taught.rows("train")
     if validation:
         judges = Corpus.prepare(validation, settings.model.preprocess, folder)
-        judge_rows = judges.rows(None)
+        named = any(dataset.info.regions for dataset in judges.datasets)
+        judge_rows = judges.rows("validation" if named else None)  # never a test region
     else:
         judges, judge_rows = taught, taught.rows("validation")
     say(f"training on {len(rows)} frames, choosing on {len(judge_rows)}")
@@ -76,6 +84,8 @@ def train(
         "commit": git_commit(),
         "versions": software_versions(),
     }
+    out.mkdir(parents=True, exist_ok=True)
+    save_config(settings, out / "asked.yaml")  # train.yaml holds one phase each
     for phase in phases(settings, out):
         if resume and (phase.out / DONE).exists():
             say(f"{phase.name}: done already")
@@ -152,50 +162,6 @@ class Corpus:
         ]
 
 
-def validation_recall(
-    data: PreparedSet, rows: np.ndarray
-) -> Callable[[AdaFusion], dict[str, float]]:
-    """Make the function that judges a model: cross-run recall@1, fused and of each half."""
-    import numpy as np
-
-    from adafusion.evaluation import evaluate_splits, make_splits
-    from adafusion.models import describe, prepared_batches
-
-    frames = [data.frames[row] for row in rows]
-    worlds = data.worlds[rows]
-    splits_of = {}
-    for world in np.unique(worlds):
-        here = np.flatnonzero(worlds == world)
-        region = np.full(len(here), "validation")
-        splits_of[int(world)] = (
-            here,
-            make_splits("cross-run", [frames[i] for i in here], region, region="validation"),
-        )
-    positions = data.positions[rows]
-
-    def recall(descriptors: np.ndarray) -> float:
-        values = [
-            evaluate_splits(descriptors[here], positions[here], splits, ks=[1]).recall["AR@1"]
-            for here, splits in splits_of.values()
-        ]
-        return float(np.mean(values))
-
-    def validate(model: AdaFusion) -> dict[str, float]:
-        d = describe(model, prepared_batches(data, rows, batch_size=32))
-        assert d.fused is not None
-        values = {"recall@1": recall(d.fused)}
-        if d.image_half is not None and d.lidar_half is not None:
-            values["image_recall@1"] = recall(d.image_half)
-            values["lidar_recall@1"] = recall(d.lidar_half)
-        if d.alpha is not None:
-            for i, sensor in enumerate(("image", "lidar")):
-                values[f"alpha_{sensor}_mean"] = float(d.alpha[:, i].mean())
-                values[f"alpha_{sensor}_std"] = float(d.alpha[:, i].std())
-        return values
-
-    return validate
-
-
 def _watch(name: str, steps: Iterable[Step], out: Path) -> float:
     """Draw the bar, write the TensorBoard log; give the best validation recall@1."""
     from torch.utils.tensorboard import SummaryWriter
@@ -209,7 +175,9 @@ def _watch(name: str, steps: Iterable[Step], out: Path) -> float:
         tqdm(desc=name, unit="batch", dynamic_ncols=True) as shown,
     ):
         for step in steps:
-            shown.total = step.batches
+            if shown.total is None:
+                shown.total, shown.initial, shown.n = step.batches, step.batch, step.batch
+            best = step.best
             shown.update(step.batch - shown.n)
             passes, seconds = passes + step.frames, seconds + step.seconds
             if step.batch:
@@ -219,7 +187,6 @@ def _watch(name: str, steps: Iterable[Step], out: Path) -> float:
                 seen |= {"loss": f"{step.loss:.3f}", "active": f"{step.active:.0%}"}
                 seen |= {"frames/s": f"{passes / max(seconds, 1e-9):.0f}"}
             if step.validation is not None:
-                best = max(best, step.validation["recall@1"])
                 for key, value in step.validation.items():
                     log.add_scalar(f"validation/{key}", value, step.batch)
                 seen["recall@1"] = f"{step.validation['recall@1']:.1%}"

@@ -155,8 +155,8 @@ class AdaFusion(nn.Module):
 
     def _check_sizes(self, image: Tensor | None, voxels: Tensor | None) -> None:
         settings = self.config.preprocess
-        if image is None and voxels is None:
-            raise ValueError("neither an image nor voxels were given")
+        if (image is None or self.image_net is None) and (voxels is None or self.voxel_net is None):
+            raise ValueError(f"model {self.name!r} was given nothing that it looks at")
         if image is not None and tuple(image.shape[2:]) != settings.image.size:
             raise ValueError(
                 f"image of {tuple(image.shape[2:])} (height, width); model {self.name!r} takes "

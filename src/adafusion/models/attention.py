@@ -5,7 +5,7 @@
 The weight branch resizes every attended map by nearest neighbour to the cells of the deepest level.
 Only the surviving cells are therefore ever asked for: keys and values see the whole map, queries
 only those cells. Nothing is approximated, and no map of all cells against all cells is ever built
-(3888 x 3888 in the released code). `tests/reference` holds the slow forms.
+(3888 x 3888 in the released code). `plain.py` holds the slow forms.
 
 Shape suffixes: B batch, C channels, N all cells of a level, M surviving cells.
 """

@@ -18,7 +18,6 @@ from adafusion.types import Description, Descriptions, Frame, Observation, UserE
 Inputs = tuple[Tensor | None, Tensor | None]  # image (B, 3, H, W), voxels (B, 1, X, Y, Z)
 
 
-@torch.inference_mode()
 def describe(model: AdaFusion, batches: Iterable[Inputs]) -> Descriptions:
     """Describe batches of tensors, one row a frame.
 
@@ -28,7 +27,10 @@ def describe(model: AdaFusion, batches: Iterable[Inputs]) -> Descriptions:
     use_channels_last(model.eval())
     device = next(model.parameters()).device
     try:
-        parts = [model(*(None if x is None else x.to(device) for x in batch)) for batch in batches]
+        with torch.inference_mode():
+            parts = [
+                model(*(None if x is None else x.to(device) for x in batch)) for batch in batches
+            ]
     finally:
         model.train(was_training)
     if not parts:

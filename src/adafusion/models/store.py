@@ -76,9 +76,13 @@ def read_header(path: str | Path) -> tuple[ModelConfig, dict[str, Any]]:
 
 def model_path(name_or_path: str | Path) -> Path:
     """Find the file of a shipped name or a path; UserError where there is none."""
-    if str(name_or_path) in SHIPPED:
-        return Path(str(files("adafusion") / "weights" / f"{name_or_path}.safetensors"))
     path = Path(name_or_path)
+    if str(name_or_path) in SHIPPED:
+        path = Path(str(files("adafusion") / "weights" / f"{name_or_path}.safetensors"))
+        if not path.is_file():
+            raise UserError(
+                f"{path}: the shipped weights are not installed; install the package again"
+            )
     if not path.is_file():
         raise UserError(
             f"{path}: no such model file, and no shipped name: choose from {', '.join(SHIPPED)}"

@@ -28,7 +28,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from adafusion.config import load_config, save_config
-from adafusion.files import atomic_path
+from adafusion.files import atomic_path, fingerprint
 from adafusion.losses import (
     active_share,
     contrastive_softmax,
@@ -79,6 +79,7 @@ class Step:
     learning_rate: float
     validation: Mapping[str, float] | None = None
     is_best: bool = False
+    best: float = -math.inf  # recall@1 on validation of the model kept so far
 
 
 def train(
@@ -116,21 +117,24 @@ def train(
     sampler = _Sampler(config.sampling, data, rows, config.seed)
     batches = config.batches or config.epochs * sampler.batches_per_epoch
 
+    if accelerator == "auto":  # an Apple GPU lacks operations on volumes that the network needs
+        accelerator = "cuda" if torch.cuda.is_available() else "cpu"
     fabric = Fabric(accelerator=accelerator, devices=1, precision=precision)
     model = build_model(config)
+    if config.balance and not resume:
+        balance_branches(model, data, sampler.batches(0, BALANCE_BATCHES), config.loss)
     optimizer = torch.optim.Adam(
         [p for p in model.parameters() if p.requires_grad],
         lr=config.optimiser.learning_rate,
         weight_decay=config.optimiser.weight_decay,
     )
     scheduler = _scheduler(config, optimizer, batches)
+    wrapped, optimizer = fabric.setup(use_channels_last(model), optimizer)
+    same = {"data": _data_fingerprint(data, rows), "precision": precision}
     done, passes, best = 0, 0, -math.inf
-    if resume:
-        done, passes, best = _restore(out, model, optimizer, scheduler)
-    use_channels_last(model)
-    wrapped, optimizer = fabric.setup(model, optimizer)
-    if config.balance and not done:
-        balance_branches(model, data, sampler.batches(0, BALANCE_BATCHES), config.loss)
+    if resume:  # after the setup, which moves the model to its device
+        done, passes, best = _restore(out, model, optimizer, scheduler, same)
+        use_channels_last(model)
     model.train()
 
     def evaluate() -> tuple[Mapping[str, float], bool]:
@@ -146,6 +150,9 @@ def train(
                     **(card or {}),
                     "seed": config.seed,
                     "frames": len(rows),
+                    "init": [
+                        {"file": f, "fingerprint": load_model(f).fingerprint} for f in config.init
+                    ],
                     "batches": done,
                     "frame_passes": passes,
                     "validation": dict(values),
@@ -165,6 +172,7 @@ def train(
             learning_rate=optimizer.param_groups[0]["lr"],
             validation=values,
             is_best=is_best,
+            best=best,
         )
     for batch in sampler.batches(first=done, count=batches - done):
         start = time.perf_counter()
@@ -176,8 +184,8 @@ def train(
         value = loss.item()
         if not math.isfinite(value):
             raise JobFailed(
-                f"{out}: the loss of batch {done + 1} is {value}; lower optimiser.learning_rate, "
-                "or --resume from the last checkpoint with another seed"
+                f"{out}: the loss of batch {done + 1} is {value}; train into another folder with a "
+                "lower optimiser.learning_rate"
             )
         learning_rate = optimizer.param_groups[0]["lr"]
         optimizer.step()
@@ -193,7 +201,7 @@ def train(
             if config.optimiser.schedule == "plateau":
                 scheduler.step(validation[SELECTED_BY])
         if done % config.checkpoint_every == 0 or validation is not None:
-            _checkpoint(out, model, optimizer, scheduler, done, passes, best)
+            _checkpoint(out, model, optimizer, scheduler, done, passes, best, same)
         yield Step(
             batch=done,
             batches=batches,
@@ -204,6 +212,7 @@ def train(
             learning_rate=learning_rate,
             validation=validation,
             is_best=is_best,
+            best=best,
         )
 
 
@@ -258,7 +267,8 @@ def balance_branches(
     are, the longer half would drown the other and the margin would first have to undo that. The
     middle between true and wrong pairs' mean L1 distance comes to lie at the margin for a half,
     divided by the weight that the model gives the half now (about 0.5 before the weights learn).
-    Scaling the last batch norm scales the feature and changes nothing else about it.
+    Scaling the last batch norm scales the feature, and with it the deepest stage that the weight
+    branch reads, which has not learnt anything yet.
     """
     model.eval()
     described = [
@@ -345,6 +355,11 @@ class _Sampler:
         self.pairs: Pairs = find_pairs(
             data.positions[rows], data.worlds[rows], sampling.d_pos_m, sampling.d_neg_m
         )
+        if not len(self.pairs.positive):
+            raise UserError(
+                f"no two of the {len(rows)} frames lie within {sampling.d_pos_m:g} m of each other: "
+                "give more runs of the same places, or raise sampling.d_pos_m"
+            )
         self.batches_per_epoch = (
             num_pair_batches(self.pairs, sampling.items)
             if sampling.mode == "pairs"
@@ -359,7 +374,7 @@ class _Sampler:
         """Yield `count` batches beginning with number `first`; their rows are those of the data."""
         if count <= 0:
             return
-        epoch, skip = divmod(first, max(1, self.batches_per_epoch))
+        epoch, skip = divmod(first, self.batches_per_epoch)
         while count > 0:
             for batch in islice(self._epoch(epoch), skip, skip + count):
                 count -= 1
@@ -416,6 +431,11 @@ def _inputs(
     return image, voxels
 
 
+def _data_fingerprint(data: PreparedSet, rows: Int[np.ndarray, " n"]) -> str:
+    """Identity of the frames trained on, in their order."""
+    return fingerprint(*(part.folder.name for part in data.parts), rows.tobytes())
+
+
 def _scheduler(config: TrainConfig, optimizer: torch.optim.Optimizer, batches: int) -> Any:
     o = config.optimiser
     if o.schedule == "plateau":
@@ -454,6 +474,7 @@ def _checkpoint(
     done: int,
     passes: int,
     best: float,
+    same: Mapping[str, str],
 ) -> None:
     """Write weights, then the state that names them: a kill in between leaves the last pair."""
     weights = f"weights-{done}.safetensors"
@@ -466,6 +487,7 @@ def _checkpoint(
         "done": done,
         "passes": passes,
         "best": best,
+        "same": dict(same),
         "optimizer": optimizer.state_dict(),
         "scheduler": {k: v for k, v in scheduler.state_dict().items() if not callable(v)},
     }
@@ -476,11 +498,18 @@ def _checkpoint(
             old.unlink()
 
 
-def _restore(out: Path, model: AdaFusion, optimizer: Any, scheduler: Any) -> tuple[int, int, float]:
-    """Take training up where the last checkpoint left it: batches, frame passes, best recall."""
+def _restore(
+    out: Path, model: AdaFusion, optimizer: Any, scheduler: Any, same: Mapping[str, str]
+) -> tuple[int, int, float]:
+    """Take training up where the last checkpoint left it: batches, frame passes, best recall.
+
+    `same` is what must not have changed since, by name.
+    """
     path = out / STATE_FILE
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
+        if changed := [name for name in same if state["same"][name] != same[name]]:
+            raise ValueError(f"it was begun with another {' and another '.join(changed)}")
         model.load_state_dict(load_file(out / state["weights"]))
         optimizer.load_state_dict(state["optimizer"])
         scheduler.load_state_dict(state["scheduler"])

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from adafusion.models import ModelConfig
+from adafusion.models.adafusion import System
 
 PAPER_LENGTH = 256  # numbers in the descriptor that the released margins were chosen for
 
@@ -27,6 +28,12 @@ class Sampling:
     views: int = 2
     d_pos_m: float = 10.0
     d_neg_m: float = 50.0
+
+    def __post_init__(self) -> None:
+        if self.items < 1 or self.places < 2 or self.views < 2:
+            raise ValueError("a batch needs at least 1 item, or 2 places in 2 views")
+        if not 0 < self.d_pos_m <= self.d_neg_m:
+            raise ValueError(f"need 0 < d_pos_m <= d_neg_m, not {self.d_pos_m} and {self.d_neg_m}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +54,8 @@ class Loss:
     def __post_init__(self) -> None:
         if not 0 <= self.slack < self.margin:
             raise ValueError(f"need 0 <= slack < margin, not {self.slack} and {self.margin}")
-        if self.temperature <= 0:
-            raise ValueError(f"temperature {self.temperature} must be positive")
+        if self.temperature <= 0 or self.half_weight < 0:
+            raise ValueError("temperature must be positive and half_weight not negative")
 
     def margins(self, length: int) -> tuple[float, float]:
         """Margin and slack for a descriptor of `length` numbers."""
@@ -71,6 +78,10 @@ class Optimiser:
     patience: int = 20
     warmup: int = 200
 
+    def __post_init__(self) -> None:
+        if self.learning_rate <= 0 or self.weight_decay < 0 or not 0 < self.factor < 1:
+            raise ValueError("need learning_rate > 0, weight_decay >= 0 and 0 < factor < 1")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Augment:
@@ -79,6 +90,10 @@ class Augment:
     color: float = 0.2  # brightness, contrast and saturation, each by up to this share
     jitter_m: float = 0.0  # standard deviation of each point's shift; reads raw clouds, so slower
     jitter_clip_m: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.color <= 1 or min(self.jitter_m, self.jitter_clip_m) < 0:
+            raise ValueError("color is a share in [0, 1]; jitter is not negative")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,8 +131,9 @@ class TrainConfig:
             raise ValueError("stage weights freezes the branches: name trained ones in init")
         if self.init and self.norms:
             raise ValueError("branches named in init have their norms folded away: set norms=false")
-        if min(self.evaluate_every, self.checkpoint_every) < 1:
-            raise ValueError("evaluate_every and checkpoint_every count batches: at least 1")
+        counts = (self.epochs, self.evaluate_every, self.checkpoint_every)
+        if min(*counts, self.batches or 1, self.branch_batches or 1) < 1 or self.batches == 0:
+            raise ValueError("epochs, batches and what happens every so many of them: at least 1")
 
 
 @dataclass(frozen=True)
@@ -132,25 +148,15 @@ class Phase:
 def phases(config: TrainConfig, out: Path) -> list[Phase]:
     """Unfold the schedule: `joint` is one phase; `staged` is three, the last from the first two.
 
-    A system of one branch, and one whose branches come from `init`, has nothing to stage.
+    Where the branches come from `init` there is nothing to stage, and a system of one branch is
+    that branch alone.
     """
-    alone = config.model.system in ("image", "lidar")
-    if config.schedule == "joint" or alone or config.init:
+    if config.schedule == "joint" or config.init:
         return [Phase(config.model.system, config, out)]
+    if config.model.system in ("image", "lidar"):
+        return [Phase(config.model.system, _branch(config, config.model.system), out)]
     branches = [
-        Phase(
-            system,
-            replace(
-                config,
-                model=replace(config.model, system=system),
-                batches=config.branch_batches or config.batches,
-                schedule="joint",
-                stage="end-to-end",
-                loss=replace(config.loss, kind=config.branch_loss),
-            ),
-            out / system,
-        )
-        for system in ("image", "lidar")
+        Phase(system, _branch(config, system), out / system) for system in ("image", "lidar")
     ]
     together = replace(
         config,
@@ -163,3 +169,15 @@ def phases(config: TrainConfig, out: Path) -> list[Phase]:
         ),
     )
     return [*branches, Phase(config.model.system, together, out)]
+
+
+def _branch(config: TrainConfig, system: System) -> TrainConfig:
+    """The training of one branch alone within a staged one."""
+    return replace(
+        config,
+        model=replace(config.model, system=system),
+        batches=config.branch_batches or config.batches,
+        schedule="joint",
+        stage="end-to-end",
+        loss=replace(config.loss, kind=config.branch_loss),
+    )
