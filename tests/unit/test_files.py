@@ -9,7 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from adafusion.files import atomic_path, fingerprint, write_json, write_text
+from adafusion.files import (
+    atomic_path,
+    fingerprint,
+    sweep_temporaries,
+    write_json,
+    write_text,
+)
 
 
 def test_a_file_appears_whole_and_nothing_else_does(tmp_path: Path) -> None:
@@ -51,6 +57,14 @@ def test_others_may_read_what_the_umask_lets_them(tmp_path: Path) -> None:
     assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == 0o644
 
 
+def test_a_writer_that_makes_private_files_hides_nothing(tmp_path: Path) -> None:
+    write_text(tmp_path / "a.txt", "hello")
+    with atomic_path(tmp_path / "b.txt") as temporary:
+        temporary.write_text("hello")
+        temporary.chmod(0o600)
+    assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "b.txt").stat().st_mode
+
+
 def test_json_comes_back_and_nan_is_refused(tmp_path: Path) -> None:
     value = {"recall": 0.5, "names": ["ü"]}
     write_json(tmp_path / "a.json", value)
@@ -64,3 +78,24 @@ def test_a_fingerprint_tells_parts_apart() -> None:
     assert fingerprint("ab", "c") != fingerprint("a", "bc")
     assert fingerprint("a") == fingerprint(b"a")
     assert len(fingerprint()) == 16
+
+
+def test_what_a_killed_writer_left_is_swept_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed_while_writing(path: Path) -> None:
+        with atomic_path(path) as temporary:
+            temporary.write_text("half")
+            raise KeyboardInterrupt
+
+    (tmp_path / ".weights.pt").write_text("the user's")
+    (tmp_path / "below").mkdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", lambda *_, **__: None)  # the killed clean nothing up
+        for name in ("weights-30.pt", "README", "below/a.txt"):
+            with pytest.raises(KeyboardInterrupt):
+                killed_while_writing(tmp_path / name)
+    assert len(list(tmp_path.iterdir())) == 4
+    sweep_temporaries(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {".weights.pt", "below"}
+    assert len(list((tmp_path / "below").iterdir())) == 1
