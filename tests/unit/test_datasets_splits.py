@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from adafusion.datasets.splits import region_of, rows_in
+from adafusion.datasets.splits import region_of
 
 REGIONS = {
     "test": [[0.0, 0.0, 10.0, 10.0], [50.0, 0.0, 60.0, 10.0]],
@@ -33,15 +32,3 @@ def test_the_region_named_first_owns_an_overlap() -> None:
 def test_without_regions_all_is_for_training() -> None:
     assert region_of(np.zeros((3, 2)), {}).tolist() == ["train"] * 3
     assert region_of(np.zeros((0, 2)), REGIONS).tolist() == []
-
-
-def test_rows_of_the_regions_share_none_and_miss_none() -> None:
-    positions = np.random.default_rng(0).uniform(-20.0, 80.0, (500, 2))
-    rows = [rows_in(region, positions, REGIONS) for region in ("train", "test", "validation")]
-    assert sorted(np.concatenate(rows).tolist()) == list(range(500))
-    assert all(len(some) > 0 for some in rows)
-
-
-def test_a_region_that_nobody_defined_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"unknown region 'tset'.*train.*test.*validation"):
-        rows_in("tset", np.zeros((1, 2)), REGIONS)

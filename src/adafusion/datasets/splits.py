@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Shaped
 
 TRAIN = "train"  # the region of every place that no box holds
 
@@ -26,12 +26,3 @@ def region_of(positions_xy: Float[np.ndarray, "n 2"], regions: Regions) -> Shape
         for xmin, ymin, xmax, ymax in regions[name]:
             names[(xmin <= x) & (x < xmax) & (ymin <= y) & (y < ymax)] = name
     return names.astype(np.str_)
-
-
-def rows_in(
-    region: str, positions_xy: Float[np.ndarray, "n 2"], regions: Regions
-) -> Int[np.ndarray, " rows"]:
-    """Rows of the positions that lie in `region`, rising; ValueError where nobody defined it."""
-    if region != TRAIN and region not in regions:
-        raise ValueError(f"unknown region {region!r}; choose from {[TRAIN, *regions]}")
-    return np.flatnonzero(region_of(positions_xy, regions) == region)

@@ -98,9 +98,6 @@ class PreparedFrames:
     def __len__(self) -> int:
         return len(self.frames)
 
-    def __reduce__(self) -> tuple[Callable[..., PreparedFrames], tuple[Any, ...]]:
-        return _open, (self.folder, self.frames, self.settings)  # pickle the path, not gigabytes
-
     @property
     def has_image(self) -> Bool[np.ndarray, " n"]:
         """Which frames have an image."""
@@ -167,11 +164,6 @@ class PreparedSet:
     def frames(self) -> tuple[Frame, ...]:
         """Frames of all parts."""
         return tuple(frame for part in self.parts for frame in part.frames)
-
-    @cached_property
-    def keys(self) -> tuple[str, ...]:
-        """`run/timestamp_us` of each row; unique within a world only."""
-        return tuple(frame.key for frame in self.frames)
 
     @cached_property
     def positions(self) -> Float[np.ndarray, "n 2"]:
