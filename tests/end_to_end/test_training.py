@@ -18,10 +18,11 @@ import torch
 
 from adafusion.config import save_config
 from adafusion.datasets import Dataset
-from adafusion.models import AdaFusion, ModelConfig, load_model, read_header
+from adafusion.models import AdaFusion, ModelConfig, describe, load_model, read_header
 from adafusion.preprocess.cache import PreparedSet, prepare_cache
 from adafusion.training import TrainConfig, build_model, phases, train
-from adafusion.training.loop import STATE_FILE
+from adafusion.training.loop import STATE_FILE, balance_branches
+from adafusion.training.pairs import find_pairs, place_batches
 from adafusion.training.settings import Augment, Loss, Optimiser, Sampling
 from adafusion.types import JobFailed, UserError
 
@@ -225,3 +226,79 @@ def test_steps_can_be_taken_one_at_a_time(
     steps = list(islice(train(config, data, np.arange(len(data)), recall_of_nothing, tmp_path), 3))
     assert [step.batch for step in steps] == [0, 1, 2]
     assert 0 < steps[1].seconds < time.perf_counter() - start
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"optimiser": Optimiser(schedule="plateau", patience=0), "norms": False},
+        {"sampling": Sampling(mode="pairs", items=4)},
+        {"augment": Augment(color=0.5)},
+    ],
+    ids=["plateau", "pairs", "colour"],
+)
+def test_a_stopped_training_goes_on_as_if_it_had_not(
+    config: TrainConfig, data: PreparedSet, tmp_path: Path, changes: dict[str, object]
+) -> None:
+    config = replace(config, batches=10, evaluate_every=2, checkpoint_every=3, **changes)
+    torch.set_num_threads(1)
+
+    def validate(model: AdaFusion) -> dict[str, float]:
+        weight = next(model.parameters())
+        return {"recall@1": float(weight.detach().abs().mean())}  # a number that moves
+
+    def steps(out: Path, resume: bool = False):
+        return train(config, data, np.arange(len(data)), validate, out, resume=resume)
+
+    whole = [(s.batch, s.loss, s.learning_rate) for s in steps(tmp_path / "whole") if s.batch]
+    stopped = list(islice(steps(tmp_path / "stopped"), 8))
+    assert stopped[-1].batch == 7
+    resumed = [(s.batch, s.loss, s.learning_rate) for s in steps(tmp_path / "stopped", True)]
+    assert resumed == whole[-len(resumed) :]
+    assert resumed[0][0] == 7
+
+
+def test_a_resume_on_other_frames_is_refused(
+    config: TrainConfig, data: PreparedSet, tmp_path: Path
+) -> None:
+    short = replace(config, batches=4)
+    rows = np.arange(len(data))
+    list(islice(train(short, data, rows, recall_of_nothing, tmp_path), 5))
+    with pytest.raises(UserError, match="another data"):
+        next(train(short, data, rows[:-1], recall_of_nothing, tmp_path, resume=True))
+
+
+def test_frames_without_true_pairs_are_refused(
+    config: TrainConfig, data: PreparedSet, tmp_path: Path
+) -> None:
+    far = np.argsort(data.positions[:, 0])[[0, -1]]
+    for mode in ("batch", "pairs"):
+        sampling = replace(config.sampling, mode=mode)
+        with pytest.raises(UserError, match="d_pos_m"):
+            next(train(replace(config, sampling=sampling), data, far, recall_of_nothing, tmp_path))
+
+
+@pytest.mark.parametrize("system", ["adafusion", "concat", "image"])
+def test_balanced_branches_lie_around_the_margin(
+    config: TrainConfig, data: PreparedSet, system: str
+) -> None:
+    model = build_model(replace(config, norms=False, model=replace(config.model, system=system)))
+    pairs = find_pairs(data.positions, data.worlds)
+    batches = list(islice(place_batches(pairs, 4, 2, np.random.default_rng(0)), 4))
+    loss = Loss(margin=25.0, slack=1.0)
+    balance_branches(model, data, batches, loss)
+    middles = {"image_half": [], "lidar_half": []}
+    alphas = []
+    for batch in batches:
+        d = describe(model, [data.tensors(batch.rows)])
+        alphas.append(np.ones(2) if d.alpha is None else d.alpha.mean(axis=0))
+        for name, found in middles.items():
+            half = getattr(d, name)
+            if half is not None:
+                distance = np.abs(half[batch.pair[:, 0]] - half[batch.pair[:, 1]]).sum(axis=1)
+                is_true = batch.is_positive
+                found.append(0.5 * (distance[is_true].mean() + distance[~is_true].mean()))
+    margin, _ = loss.margins(config.model.dim // 2)
+    for i, found in enumerate(middles.values()):
+        if found:
+            assert np.mean(found) == pytest.approx(margin / np.mean(alphas, axis=0)[i], rel=0.05)
