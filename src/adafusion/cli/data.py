@@ -24,6 +24,10 @@ def simulate(
     places: Annotated[
         int | None, typer.Option(help="Frames a run; default: what the profile says.")
     ] = None,
+    regions: Annotated[
+        str,
+        typer.Option(help="split (training, validation and test apart), all-train or all-test."),
+    ] = "split",
     workers: Annotated[int, typer.Option(help="Processes that render.", min=1)] = 2,
 ) -> None:
     """Drive through the synthetic world and record camera, LiDAR and true pose.
@@ -42,6 +46,7 @@ def simulate(
         runs=split_names(runs),
         profile=profile,
         places=places,
+        regions=regions,
         workers=workers,
         progress=bar,
     )
@@ -53,7 +58,7 @@ def prepare(
     src: Annotated[Path, typer.Argument(help="Folder as the dataset's site gave it.")],
     out: Annotated[Path, typer.Argument(help="Folder of the new dataset; must not exist.")],
     sequences: Annotated[
-        str | None, typer.Option(help="Which sequences, by comma; default: all that have files.")
+        str | None, typer.Option(help="Which, by comma; default: all that have files and poses.")
     ] = None,
 ) -> None:
     """Turn recorded data into the package's own form, checking every file on the way.

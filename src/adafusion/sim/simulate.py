@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 import re
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
@@ -37,7 +37,7 @@ from adafusion.sim.vehicles import build_vehicles
 from adafusion.sim.world import World, build_world
 from adafusion.types import Frame, Observation, Progress, UserError, silent
 
-WORLD_VERSION = "1"  # changes whenever the same seed would give other bytes
+WORLD_VERSION = "2"  # changes whenever the same seed would give other bytes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,15 +105,16 @@ def simulate(
 
     A run is named after the preset of its conditions, a repeat with a number: "day", "day-2".
     `profile` is "tiny", "small" or "full"; `places` cuts each run short; `regions` is "split"
-    (test, validation and the rest are disjoint in space) or "all-test" (nobody trains here).
+    (test, validation and the rest are disjoint in space), "all-train" (no regions: all of it
+    teaches) or "all-test" (nobody trains here).
     Frames carry the true pose. The same arguments give the same bytes with any number of
     `workers` (processes); a job that was cut off goes on where it was. UserError for an unknown
     preset, profile or region, and where `out` exists.
     """
     if profile not in PROFILES:
         raise UserError(f"unknown profile {profile!r}; choose from {', '.join(PROFILES)}")
-    if regions not in ("split", "all-test"):
-        raise UserError(f"unknown regions {regions!r}; choose split or all-test")
+    if regions not in REGIONS:
+        raise UserError(f"unknown regions {regions!r}; choose from {', '.join(REGIONS)}")
     if not runs or len(set(runs)) != len(runs):
         raise UserError(f"runs {list(runs)}: name one or more, each once, such as day night day-2")
     if places is not None and places < 1:
@@ -303,7 +304,7 @@ def _describe(job: Job, world: World, regions: str) -> DatasetInfo:
             "T_body_camera": profile.camera.T_body_camera.tolist(),
             "T_body_lidar": profile.lidar.T_body_lidar.tolist(),
         },
-        regions=choose_regions(world) if regions == "split" else _everything(world),
+        regions=REGIONS[regions](world),
     )
 
 
@@ -332,3 +333,10 @@ def _everything(world: World) -> dict[str, list[list[float]]]:
     nodes = world.nodes
     low, high = nodes.min(axis=0) - 100.0, nodes.max(axis=0) + 100.0
     return {"test": [[round(float(v), 3) for v in (*low, *high)]]}
+
+
+REGIONS: dict[str, Callable[[World], dict[str, list[list[float]]]]] = {
+    "split": choose_regions,
+    "all-train": lambda world: {},
+    "all-test": _everything,
+}
