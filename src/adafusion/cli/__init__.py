@@ -60,6 +60,3 @@ def main() -> None:
     except (JobFailed, ModuleNotFoundError, OSError) as error:
         print(f"adafusion: {error}", file=sys.stderr)
         raise SystemExit(1) from None
-    except KeyboardInterrupt:
-        print("adafusion: stopped; a job that can resume says how in its --help", file=sys.stderr)
-        raise SystemExit(130) from None
