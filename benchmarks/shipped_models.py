@@ -15,15 +15,15 @@ import argparse
 from datetime import UTC, datetime
 from pathlib import Path
 
-from adafusion.cli.common import cache_folder
-from adafusion.cli.evaluation import INTERVAL_SEED, judge, make_splits
+from adafusion.cli.common import bar, cache_folder
 from adafusion.datasets import open_dataset
-from adafusion.evaluation import evaluate_splits
+from adafusion.evaluation import dataset_splits, evaluate_splits, judge
 from adafusion.models import SHIPPED, AdaFusion, load_model
 from adafusion.provenance import git_commit
 from adafusion.training import TrainConfig, build_model
 
 TWIN_SEED = 0
+INTERVAL_SEED = 0
 
 
 def untrained(model: AdaFusion) -> AdaFusion:
@@ -42,7 +42,7 @@ def main() -> None:
     arguments = parser.parse_args()
     dataset = open_dataset(arguments.dataset)
     models = [model for name in SHIPPED for model in _both(load_model(name))]
-    splits = make_splits(dataset, "cross-run")
+    splits = dataset_splits(dataset, "cross-run")
     kinds = {
         "all pairs": splits,
         "with night": [split for split in splits if "night" in split.name],
@@ -61,7 +61,7 @@ def main() -> None:
         f"| model | fingerprint | {' | '.join(kinds)} |",
         "|---|---|" + "---|" * len(kinds),
     ]
-    for judged in judge(models, dataset, splits, cache_folder(arguments.cache)):
+    for judged in judge(models, dataset, splits, cache_folder(arguments.cache), progress=bar):
         assert judged.descriptions.fused is not None
         cells = []
         for chosen in kinds.values():
@@ -69,9 +69,7 @@ def main() -> None:
                 cells.append("-")
                 continue
             evaluation = evaluate_splits(judged.descriptions.fused, dataset.positions_m, chosen)
-            estimate = evaluation.estimates(seed=INTERVAL_SEED)["AR@1"]
-            low, high = estimate.interval
-            cells.append(f"{100 * estimate.value:.1f} [{100 * low:.1f}, {100 * high:.1f}]")
+            cells.append(evaluation.estimates(seed=INTERVAL_SEED)["AR@1"].in_percent())
         lines.append(f"| {judged.name} | {judged.model.fingerprint} | {' | '.join(cells)} |")
     first = kinds["all pairs"]
     lines += ["", f"{sum(len(split.query_rows) for split in first)} queries in {len(first)} pairs."]

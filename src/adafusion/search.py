@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, Int64
+from jaxtyping import Float, Float32, Int64
 from numba import njit, prange
 
 from adafusion.threads import torch_threads_kept
@@ -24,41 +24,23 @@ NOT_FINITE = "descriptors must be finite numbers"
 
 
 def rank(
-    queries: Float[np.ndarray, "q d"],
-    database: Float[np.ndarray, "n d"],
-    k: int,
-    *,
-    p: int = 1,
-    query_group: Int[np.ndarray, " q"] | None = None,
-    database_group: Int[np.ndarray, " n"] | None = None,
+    queries: Float[np.ndarray, "q d"], database: Float[np.ndarray, "n d"], k: int, *, p: int = 1
 ) -> tuple[Int64[np.ndarray, "q k"], Float32[np.ndarray, "q k"]]:
     """Find the k nearest database rows of each query, nearest first: (rows, distances).
 
-    A database row may not answer a query of its own group (both groups given, or neither): number
-    the frames to leave out the query itself, number the runs to leave out the query's run. Where
-    fewer than k rows may answer, the rest is row -1 at distance inf.
-
-    Distances are float32; equal ones rank by row. Raises ValueError on vectors that are not finite
-    or do not fit each other.
+    Where the database has fewer than k rows, the rest is row -1 at distance inf. Distances are
+    float32; equal ones rank by row. Raises ValueError on vectors that are not finite or do not fit
+    each other.
     """
     if k < 1:
         raise ValueError(f"k must be at least 1, not {k}")
-    if (query_group is None) != (database_group is None):
-        raise ValueError("query_group and database_group go together: give both or neither")
     a, b = _checked(queries, database, p)
-    grouped = query_group is not None
-    nobody = np.empty(0, np.int64)
-    groups_a = nobody if query_group is None else np.ascontiguousarray(query_group, np.int64)
-    groups_b = nobody if database_group is None else np.ascontiguousarray(database_group, np.int64)
-    if grouped and (len(groups_a) != len(a) or len(groups_b) != len(b)):
-        raise ValueError("give one group for each query and one for each database row")
-
     blocks = max(1, -(-len(a) // QUERY_BLOCK))
     parts = max(1, min(-(-len(b) // PART_ROWS), MIN_TASKS // blocks))
     rows = np.full((parts, len(a), k), -1, np.int64)
     distances = np.full((parts, len(a), k), np.inf, np.float32)
     with torch_threads_kept():
-        is_finite = _rank(a, b, p, grouped, groups_a, groups_b, rows, distances)
+        is_finite = _rank(a, b, p, rows, distances)
     if not is_finite:
         raise ValueError(NOT_FINITE)
     return rows[0], distances[0]
@@ -67,7 +49,7 @@ def rank(
 def pairwise_distances(
     a: Float[np.ndarray, "m d"], b: Float[np.ndarray, "n d"], *, p: int = 1
 ) -> Float32[np.ndarray, "m n"]:
-    """Compute the distance of every row of `a` to every row of `b`, bit for bit those of `rank`."""
+    """Compute the distance of every row of `a` to every row of `b`, as `rank` does up to rounding."""
     a, b = _checked(a, b, p)
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise ValueError(NOT_FINITE)
@@ -118,7 +100,7 @@ def _insert(rows, distances, row, distance):
 
 @njit(cache=True, parallel=True)
 @no_type_check
-def _rank(queries, database, p, grouped, query_group, database_group, rows, distances):
+def _rank(queries, database, p, rows, distances):
     """Fill rows and distances, both (parts, q, k); part 0 ends as the ranking of the whole.
 
     Says whether every distance was finite: far cheaper here than a pass over the database before.
@@ -134,8 +116,6 @@ def _rank(queries, database, p, grouped, query_group, database_group, rows, dist
         for tile in range(part * part_rows, stop, TILE_ROWS):
             for q in range(first, min(first + QUERY_BLOCK, q_count)):
                 for row in range(tile, min(tile + TILE_ROWS, stop)):
-                    if grouped and query_group[q] == database_group[row]:
-                        continue
                     distance = _distance(queries[q], database[row], p)
                     if not distance < np.inf:
                         is_finite[task] = False

@@ -18,6 +18,8 @@ from torch import Tensor
 
 T = TypeVar("T")
 
+SENSORS = ("image", "lidar")  # in the order of alpha
+
 
 class UserError(Exception):
     """Bad input or wrong usage: the message names file and remedy, the CLI exits with 2."""
@@ -59,6 +61,15 @@ class Frame:
     def key(self) -> str:
         """`run/timestamp_us`: unique within a dataset, and what a map stores."""
         return f"{self.run}/{self.timestamp_us}"
+
+
+def lacking(frame: Frame, system: str) -> tuple[str, ...]:
+    """Which sensors a model's `system` needs and `frame` has no file of; () where it can be used.
+
+    A system that is named after a sensor needs that one alone, every other one needs both.
+    """
+    files = dict(zip(SENSORS, (frame.image, frame.cloud), strict=True))
+    return tuple(name for name in ((system,) if system in SENSORS else SENSORS) if not files[name])
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,3 +117,25 @@ class Split:
     exclude_self: bool = False  # the query's own frame may not answer
     exclude_query_run: bool = False  # no frame of the query's run may answer
     run_ids: Int[np.ndarray, " frames"] | None = None  # run of every frame, where a run is excluded
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A measured number and, where known, its 95 % interval."""
+
+    value: float
+    interval: tuple[float, float] | None = None
+
+    def in_percent(self, sign: str = "") -> str:
+        """Print a fraction as `81.3 [78.1, 84.0]`; sign "+" for a difference, in points."""
+        value, *ends = (f"{100 * x:{sign}.1f}" for x in (self.value, *(self.interval or ())))
+        return f"{value} [{', '.join(ends)}]" if ends else value
+
+
+@dataclass(frozen=True, slots=True)
+class AlphaSummary:
+    """The weights of some frames, as (image, LiDAR)."""
+
+    num_frames: int
+    mean: tuple[float, float]
+    std: tuple[float, float]  # of the frames themselves (divided by n)

@@ -194,6 +194,13 @@ def test_a_model_file_carries_its_preprocessing_and_identity(tmp_path: Path) -> 
     assert read_header(tmp_path / "mine.safetensors")[1] == {"seed": 3}
 
 
+def test_a_training_s_model_is_called_by_its_folder(tmp_path: Path) -> None:
+    for run in ("x", "y"):
+        (tmp_path / run).mkdir()
+        save_model(build(), tmp_path / run / "model.safetensors")
+    assert [load_model(tmp_path / run / "model.safetensors").name for run in "xy"] == ["x", "y"]
+
+
 def test_another_weight_or_another_preprocessing_is_another_model() -> None:
     model, other = build(), build()
     assert model.fingerprint == other.fingerprint

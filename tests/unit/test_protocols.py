@@ -7,7 +7,7 @@ import logging
 import numpy as np
 import pytest
 
-from adafusion.evaluation import PROTOCOLS, describe_protocol, make_splits
+from adafusion.evaluation import PROTOCOLS, answer_groups, describe_protocol, make_splits
 from adafusion.types import Frame, UserError
 
 
@@ -97,6 +97,27 @@ def test_it_says_which_protocols_and_runs_there_are() -> None:
         make_splits("crossrun", FRAMES, REGIONS)
     with pytest.raises(UserError, match="no run d here: choose from a, b, c"):
         make_splits("union", FRAMES, REGIONS, runs=["a", "d"])
+
+
+@pytest.mark.parametrize("radius_m", [0.0, -20.0, float("nan"), float("inf")])
+def test_it_refuses_a_radius_that_is_no_length(radius_m: float) -> None:
+    with pytest.raises(UserError, match="finite radius above 0"):
+        make_splits("cross-run", FRAMES, REGIONS, radius_m=radius_m)
+
+
+def test_it_says_who_may_not_answer_whom() -> None:
+    groups = {}
+    for name in ("cross-run", "union", "union-strict"):
+        split = make_splits(name, FRAMES, REGIONS)[0]
+        asking, answering = answer_groups(split, split.query_rows)
+        groups[name] = (asking[:, None] == answering).tolist()
+    assert groups["cross-run"] == [[False], [False]]  # a's frames 2 and 3 ask b's 0
+    assert groups["union"] == [[True, False, False], [False, True, False], [False, False, True]]
+    assert groups["union-strict"] == [
+        [True, True, False],
+        [True, True, False],
+        [False, False, True],
+    ]
 
 
 def test_it_refuses_regions_that_do_not_fit_the_frames() -> None:

@@ -17,6 +17,7 @@ from adafusion.report import (
     AlphaTrace,
     Candidate,
     Estimate,
+    MeanAlpha,
     PairDistances,
     ProtocolFacts,
     ReportData,
@@ -28,6 +29,7 @@ from adafusion.report import (
     write_report,
 )
 from adafusion.report.html import interval, jpeg, percent, points, render, who_may_answer
+from adafusion.types import AlphaSummary
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 
@@ -119,6 +121,13 @@ def full() -> ReportData:
                 top1_xy_m=rng.normal(0, 50, (12, 2)),
             ),
         ),
+        mean_alpha=(
+            MeanAlpha(
+                system="adafusion",
+                by_run={"day": AlphaSummary(12, (0.2, 0.8), (0.0, 0.0))},
+                by_zone={"tunnel": AlphaSummary(6, (0.15, 0.85), (0.05, 0.1))},
+            ),
+        ),
         alpha=tuple(
             AlphaTrace(
                 system="adafusion",
@@ -173,6 +182,8 @@ def test_a_report_is_well_formed_and_says_what_was_measured(html: str) -> None:
         "✗ miss adafusion: answered 120 m away",
         "rank 1, 120.0 m from the query, distance 3.5",
         "distance 30 : 70",
+        "adafusion run day 12 0.20 ± 0.00 0.80 ± 0.00",
+        "adafusion zone tunnel 6 0.15 ± 0.05 0.85 ± 0.10",
         "no image no cloud",
         "adafusion evaluate <model>",
         "abc1234",
@@ -233,7 +244,8 @@ def test_names_of_runs_may_hold_anything() -> None:
     trace = AlphaTrace(
         system="a&b", run="$夜$ <1>", along_m=np.arange(3.0), alpha=np.full((3, 2), 0.5)
     )
-    page = Page(render(bare(alpha=(trace,))))
+    means = MeanAlpha(system="a&b", by_run={"$夜$ <1>": AlphaSummary(3, (0.5, 0.5), (0.0, 0.0))})
+    page = Page(render(bare(alpha=(trace,), mean_alpha=(means,))))
     assert page.text.count("$夜$ <1>") == 2  # in the table and in the chart
 
 

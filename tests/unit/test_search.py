@@ -27,7 +27,7 @@ def test_it_ranks_by_l2() -> None:
     np.testing.assert_allclose(distances, [[1, 1, 2**0.5, 10**0.5]], rtol=1e-6)
 
 
-def test_it_pads_with_minus_one_at_infinity_where_fewer_than_k_may_answer() -> None:
+def test_it_pads_with_minus_one_at_infinity_where_fewer_than_k_answer() -> None:
     rows, distances = rank(QUERY, DATABASE[:1], 3)
     assert rows.tolist() == [[0, -1, -1]]
     assert distances.tolist() == [[4, np.inf, np.inf]]
@@ -36,12 +36,6 @@ def test_it_pads_with_minus_one_at_infinity_where_fewer_than_k_may_answer() -> N
 def test_it_gives_nothing_from_an_empty_database_and_nothing_to_no_query() -> None:
     assert rank(QUERY, DATABASE[:0], 2)[0].tolist() == [[-1, -1]]
     assert rank(QUERY[:0], DATABASE, 2)[0].shape == (0, 2)
-
-
-def test_it_leaves_out_the_query_itself_by_numbering_the_frames() -> None:
-    frames = np.arange(4)
-    rows, _ = rank(DATABASE, DATABASE, 1, query_group=frames, database_group=frames)
-    assert rows.tolist() == [[1], [3], [1], [1]]
 
 
 def test_it_ranks_the_same_on_any_number_of_threads() -> None:
@@ -74,8 +68,6 @@ def test_it_refuses_what_cannot_be_ranked() -> None:
         rank(QUERY, DATABASE, 0)
     with pytest.raises(ValueError, match="p must be"):
         rank(QUERY, DATABASE, 1, p=3)
-    with pytest.raises(ValueError, match="both or neither"):
-        rank(QUERY, DATABASE, 1, query_group=np.array([0]))
 
 
 def test_a_search_leaves_torch_its_number_of_threads() -> None:

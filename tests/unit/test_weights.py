@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adafusion.evaluation import contribution_shares, summarize_alpha
-from adafusion.evaluation.weights import AlphaSummary
+from adafusion.types import AlphaSummary
 
 ALPHA = np.array([[0.25, 1.0], [0.75, 1.0], [0.5, 0.0]], np.float32)
 

@@ -9,12 +9,16 @@ from datetime import UTC, datetime
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.distance import cdist
 
-from adafusion.cli.evaluation import INTERVAL_SEED, Judged
+from adafusion.cli.evaluation import EvaluateConfig, trained_on
+from adafusion.config import dump_config
 from adafusion.datasets import Dataset
 from adafusion.evaluation import (
-    Estimate,
+    Judged,
     SplitResult,
+    alpha_by,
+    answer_groups,
     compare,
     contribution_shares,
     describe_protocol,
@@ -23,6 +27,7 @@ from adafusion.provenance import git_commit, software_versions
 from adafusion.report import (
     AlphaTrace,
     Candidate,
+    MeanAlpha,
     PairDistances,
     ProtocolFacts,
     ReportData,
@@ -32,27 +37,29 @@ from adafusion.report import (
     SplitCount,
     SystemResult,
 )
-from adafusion.report import Estimate as Shown
 from adafusion.search import pairwise_distances
 
 RETRIEVALS = 3  # hits, and as many misses, that a report shows
 ROUTES = 2  # splits drawn as a map
 HISTOGRAM_SEED = 0
+HISTOGRAM_PAIRS = 20_000  # of wrong pairs, at most; there are millions
 WRONG_M = 50.0  # pairs farther apart than this are wrong ones in the histogram
 
 
-def report_data(judged: Sequence[Judged], dataset: Dataset, command: str) -> ReportData:
+def report_data(
+    judged: Sequence[Judged], dataset: Dataset, config: EvaluateConfig, command: str
+) -> ReportData:
     """Fill a report from evaluations of one dataset; the first model is the one it speaks of."""
     first = judged[0]
     e = first.evaluation
     split = e.results[0].split
-    commit = git_commit()
     facts = {
         "dataset fingerprint": dataset.fingerprint,
         "source": dataset.info.source,
-        "interval seed": str(INTERVAL_SEED),
+        "interval seed": str(config.seed),
         "torch": software_versions()["torch"],
-        **({} if commit is None else {"commit": commit}),
+        "commit": git_commit(),
+        "left out, a sensor is lacking": f"{first.num_lacking} frames" * bool(first.num_lacking),
     }
     return ReportData(
         title=f"Place recognition on {dataset.info.name}",
@@ -67,7 +74,7 @@ def report_data(judged: Sequence[Judged], dataset: Dataset, command: str) -> Rep
             splits=tuple(
                 SplitCount(
                     name=r.split.name,
-                    queries=int((r.first_hit > 0).sum()),
+                    queries=len(r.first_hit),
                     left_out=int((r.first_hit == 0).sum()),
                     database=len(r.split.database_rows),
                 )
@@ -76,38 +83,45 @@ def report_data(judged: Sequence[Judged], dataset: Dataset, command: str) -> Rep
             exclude_self=split.exclude_self,
             exclude_query_run=split.exclude_query_run,
             intervals=f"95 % bootstrap over {e.num_places} blocks of 50 m of ground, seed "
-            f"{INTERVAL_SEED}; differences are paired",
+            f"{config.seed}; differences are paired",
         ),
-        systems=tuple(_system(j, first) for j in judged),
+        systems=tuple(
+            _system(j, first, config.seed, trained_on(name, dataset))
+            for j, name in zip(judged, config.models, strict=True)
+        ),
         headline=first.name,
-        facts=facts,
+        facts={name: value for name, value in facts.items() if value},
         routes=tuple(_route(first, r, dataset) for r in e.results[:ROUTES]),
+        mean_alpha=tuple(
+            MeanAlpha(
+                system=j.name,
+                by_run=alpha_by(j, dataset, "run"),
+                by_zone=alpha_by(j, dataset, "zone"),
+            )
+            for j in judged
+            if j.descriptions.alpha is not None
+        ),
         alpha=_traces(first, dataset),
         retrievals=_retrievals(first, dataset),
         distances=tuple(_distances(j, dataset) for j in judged),
         command=command,
+        config=dump_config(config),
     )
 
 
-def _system(judged: Judged, first: Judged) -> SystemResult:
+def _system(judged: Judged, first: Judged, seed: int, is_at_home: bool) -> SystemResult:
     e = judged.evaluation
-    estimates = e.estimates(seed=INTERVAL_SEED)
-    gap = None
-    if judged is not first:
-        gap = _shown(compare(first.evaluation, e, seed=INTERVAL_SEED)["AR@1"])
+    estimates = e.estimates(seed=seed)
     parameters = sum(p.numel() for p in judged.model.parameters())
     return SystemResult(
         name=judged.name,
-        recall={k: _shown(estimates[f"AR@{k}"]) for k in e.ks},
-        recall_at_1_percent=_shown(estimates["AR@1%"]),
-        gap=gap,
+        recall={k: estimates[f"AR@{k}"] for k in e.ks},
+        recall_at_1_percent=estimates["AR@1%"],
+        gap=None if judged is first else compare(first.evaluation, e, seed=seed)["AR@1"],
         fingerprint=judged.model.fingerprint,
-        note=f"{parameters / 1e6:.2f} M parameters",
+        note=f"{parameters / 1e6:.2f} M parameters"
+        + (", trained on this dataset" if is_at_home else ""),
     )
-
-
-def _shown(estimate: Estimate) -> Shown:
-    return Shown(value=estimate.value, interval=estimate.interval)
 
 
 def _route(judged: Judged, result: SplitResult, dataset: Dataset) -> RouteView:
@@ -191,35 +205,37 @@ def _seen(judged: Judged, dataset: Dataset, row: int) -> SeenPlace:
 
 
 def _candidate(judged: Judged, dataset: Dataset, query: int, row: int, rank: int) -> Candidate:
-    fused = _fused(judged)
+    fused, p = _fused(judged), judged.evaluation.p
     both = judged.descriptions.image_half is not None and judged.descriptions.lidar_half is not None
-    share = contribution_shares(fused[[query]], fused[[row]])[0, 0] if both else np.nan
+    # an L1 distance is the sum of what each sensor adds; no other is
+    share = contribution_shares(fused[[query]], fused[[row]])[0, 0] if both and p == 1 else np.nan
     away = np.linalg.norm(dataset.positions_m[query, :2] - dataset.positions_m[row, :2])
     return Candidate(
         place=_seen(judged, dataset, row),
         rank=rank,
-        distance=float(np.abs(fused[query] - fused[row]).sum()),
+        distance=float(pairwise_distances(fused[[query]], fused[[row]], p=p)[0, 0]),
         away_m=float(away),
         image_share=None if np.isnan(share) else float(share),
     )
 
 
 def _distances(judged: Judged, dataset: Dataset) -> PairDistances:
-    """Descriptor distances of true and of wrong pairs between queries and database."""
+    """Descriptor distances of true and of wrong pairs of a query and a frame that may answer it."""
     e = judged.evaluation
     fused, xy = _fused(judged), dataset.positions_m[:, :2]
+    rng = np.random.default_rng(HISTOGRAM_SEED)
     true, wrong = [], []
     for result in e.results:
         q, n = result.split.query_rows, result.split.database_rows
-        apart = pairwise_distances(xy[q].astype(np.float32), xy[n].astype(np.float32), p=2)
+        asking, answering = answer_groups(result.split, q)
+        may_answer = asking[:, None] != answering
+        apart = cdist(xy[q], xy[n])
         distance = pairwise_distances(fused[q], fused[n], p=e.p)
-        other = q[:, None] != n[None]
-        true.append(distance[(apart <= e.radius_m) & other])
-        wrong.append(distance[apart > WRONG_M])
-    rng = np.random.default_rng(HISTOGRAM_SEED)
-    wrong_all = np.concatenate(wrong)
-    some = rng.choice(wrong_all, size=min(len(wrong_all), 20_000), replace=False)
-    return PairDistances(system=judged.name, true=np.concatenate(true), wrong=some)
+        true.append(distance[(apart <= e.radius_m) & may_answer])
+        far = distance[(apart > WRONG_M) & may_answer]
+        some = min(len(far), -(-HISTOGRAM_PAIRS // len(e.results)))
+        wrong.append(rng.choice(far, size=some, replace=False))
+    return PairDistances(system=judged.name, true=np.concatenate(true), wrong=np.concatenate(wrong))
 
 
 def _fused(judged: Judged) -> Float[np.ndarray, "n d"]:

@@ -19,8 +19,9 @@ from adafusion.evaluation.metrics import (
     percentile_interval,
     place_blocks,
 )
+from adafusion.evaluation.protocols import answer_groups
 from adafusion.search import pairwise_distances
-from adafusion.types import Split, UserError
+from adafusion.types import Estimate, Split, UserError
 
 BLOCK_M = 50.0
 MAX_DISTANCES = 2**25  # held at a time: 128 MiB of float32
@@ -35,14 +36,6 @@ class SplitResult:
     top_row: Int64[np.ndarray, " q"]  # frame that came first
     hit_row: Int64[np.ndarray, " q"]  # true match that came before all other true ones
     one_percent: int  # N of recall@1%
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A value and its 95 % interval."""
-
-    value: float
-    interval: Interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,28 +214,13 @@ def _search(
                 xy[query],
                 xy[split.database_rows],
                 split.radius_m,
-                *_groups(split, query),
+                *answer_groups(split, query),
             )
             result.first_hit[here] = first_hit
             frames = np.append(split.database_rows, -1)  # row -1, nobody, is frame -1
             result.top_row[here] = frames[top]
             result.hit_row[here] = frames[hit]
     return results
-
-
-def _groups(
-    split: Split, query: Int64[np.ndarray, " q"]
-) -> tuple[Int64[np.ndarray, " q"], Int64[np.ndarray, " n"]]:
-    """Number queries and database rows so that equal numbers may not answer each other."""
-    database = split.database_rows.astype(np.int64)
-    if split.exclude_query_run:
-        if split.run_ids is None:
-            raise ValueError(f"split {split.name} excludes runs and does not say whose frames are")
-        run_ids = split.run_ids.astype(np.int64)
-        return run_ids[query], run_ids[database]
-    if split.exclude_self:
-        return query, database
-    return np.full(len(query), -1), database
 
 
 def _estimates(

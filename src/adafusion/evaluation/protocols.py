@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import combinations, permutations
 
 import numpy as np
-from jaxtyping import Int, Shaped
+from jaxtyping import Int, Int64, Shaped
 
 from adafusion.types import Frame, Split, UserError
 
@@ -98,9 +98,12 @@ def make_splits(
     order; None takes all, in the order of their names. A split named "a->b" asks a's queries of b's
     database; "a+b" is a pool. Runs without a frame in the region ask nothing and are logged.
 
-    Raises UserError on an unknown protocol or run, or where fewer than two runs remain.
+    Raises UserError on an unknown protocol or run, a radius that is no length, or where fewer than
+    two runs remain.
     """
     rules = protocol_named(protocol)
+    if radius_m is not None and not 0.0 < radius_m < np.inf:
+        raise UserError(f"radius {radius_m:g} m: a true match needs a finite radius above 0")
     if len(region_names) != len(frames):
         raise ValueError(f"{len(region_names)} regions for {len(frames)} frames")
     run_of = np.array([frame.run for frame in frames], dtype=str)
@@ -148,3 +151,18 @@ def make_splits(
             f"frames in the {region} region: give more runs or other regions"
         )
     return splits
+
+
+def answer_groups(
+    split: Split, query_rows: Int[np.ndarray, " q"]
+) -> tuple[Int64[np.ndarray, " q"], Int64[np.ndarray, " n"]]:
+    """Number queries and database rows so that equal numbers may not answer each other."""
+    query, database = query_rows.astype(np.int64), split.database_rows.astype(np.int64)
+    if split.exclude_query_run:
+        if split.run_ids is None:
+            raise ValueError(f"split {split.name} excludes runs and does not say whose frames are")
+        run_ids = split.run_ids.astype(np.int64)
+        return run_ids[query], run_ids[database]
+    if split.exclude_self:
+        return query, database
+    return np.full(len(query), -1), database

@@ -5,21 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
-Pair = tuple[float, float]  # (image, LiDAR)
-
-
-@dataclass(frozen=True, slots=True)
-class AlphaSummary:
-    """The weights of some frames, as (image, LiDAR)."""
-
-    num_frames: int
-    mean: Pair
-    std: Pair  # of the frames themselves (divided by n)
+from adafusion.types import AlphaSummary
 
 
 def summarize_alpha(

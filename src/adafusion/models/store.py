@@ -26,12 +26,14 @@ SHIPPED = ("adafusion-s", "concat-s", "image-s", "lidar-s")
 def load_model(name_or_path: str | Path, device: str | torch.device = "cpu") -> AdaFusion:
     """Load a shipped model by name, or a .safetensors file, ready to describe places.
 
-    Nothing in the file is executed. Raises UserError for an unknown name or a file that is not a
+    A file is known by its stem, or by its folder where it has the name that every training gives:
+    runs/mine/model.safetensors is "mine". Nothing in the file is executed. Raises UserError for an unknown name or a file that is not a
     whole model file.
     """
     path = model_path(name_or_path)
     config, _ = read_header(path)
-    model = AdaFusion(config, name=path.stem)
+    name = path.resolve().parent.name if path.stem == "model" else path.stem
+    model = AdaFusion(config, name=name)
     try:
         with safe_open(path, framework="pt") as file:
             model.load_state_dict({key: file.get_tensor(key) for key in file.keys()})  # noqa: SIM118

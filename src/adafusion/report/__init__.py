@@ -7,7 +7,7 @@ from __future__ import annotations
 from adafusion.report.data import (
     AlphaTrace,
     Candidate,
-    Estimate,
+    MeanAlpha,
     PairDistances,
     ProtocolFacts,
     ReportData,
@@ -18,11 +18,13 @@ from adafusion.report.data import (
     SystemResult,
 )
 from adafusion.report.html import write_report
+from adafusion.types import Estimate
 
 __all__ = [
     "AlphaTrace",
     "Candidate",
     "Estimate",
+    "MeanAlpha",
     "PairDistances",
     "ProtocolFacts",
     "ReportData",

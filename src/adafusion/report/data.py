@@ -14,13 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A measured number and, where known, its 95 % interval."""
-
-    value: float
-    interval: tuple[float, float] | None = None
+from adafusion.types import AlphaSummary, Estimate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +68,15 @@ class RouteView:
     is_hit: Bool[np.ndarray, " q"]  # top-1 within the radius
     is_answerable: Bool[np.ndarray, " q"] | None = None  # False: left out, no true match; None: all
     top1_xy_m: Float[np.ndarray, "q 2"] | None = None  # where the best database frame was taken
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeanAlpha:
+    """The weights of one system over all frames of a run, and over all frames of a zone."""
+
+    system: str
+    by_run: Mapping[str, AlphaSummary]
+    by_zone: Mapping[str, AlphaSummary] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,6 +149,7 @@ class ReportData:
     headline: str = ""  # name of the system that the first sentence speaks of; default the last
     facts: Mapping[str, str] = field(default_factory=dict)  # fingerprints, commit, seed, versions
     routes: tuple[RouteView, ...] = ()
+    mean_alpha: tuple[MeanAlpha, ...] = ()
     alpha: tuple[AlphaTrace, ...] = ()
     retrievals: tuple[Retrieval, ...] = ()
     distances: tuple[PairDistances, ...] = ()

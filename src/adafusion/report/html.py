@@ -17,7 +17,8 @@ from jaxtyping import UInt8
 
 from adafusion.files import write_text
 from adafusion.report import plots
-from adafusion.report.data import AlphaTrace, Estimate, ProtocolFacts, ReportData
+from adafusion.report.data import AlphaTrace, ProtocolFacts, ReportData
+from adafusion.types import Estimate
 
 log = logging.getLogger(__name__)
 
@@ -73,7 +74,6 @@ def render(data: ReportData) -> str:
         recolor=RECOLOR,
         palette={name.lower(): getattr(plots, name) for name in COLORS},
         who_may_answer=who_may_answer(data.protocol),
-        mean_alpha=mean_alpha(data.alpha),
         recall_chart=chart(
             plots.recall_curve(data.systems),
             "Recall at N in percent, one curve a system: "
@@ -140,20 +140,6 @@ def who_may_answer(protocol: ProtocolFacts) -> str:
             "every frame of the database except the query itself; its neighbours in its own run may"
         )
     return "every frame of the database"
-
-
-def mean_alpha(traces: tuple[AlphaTrace, ...]) -> list[dict[str, Any]]:
-    """Mean and standard deviation of both weights over the frames of each run."""
-    return [
-        {
-            "system": trace.system,
-            "run": trace.run,
-            "frames": len(trace.alpha),
-            "mean": [float(a) for a in trace.alpha.mean(axis=0)],
-            "std": [float(a) for a in trace.alpha.std(axis=0)],
-        }
-        for trace in traces
-    ]
 
 
 def jpeg(image: UInt8[np.ndarray, "h w 3"]) -> str:
