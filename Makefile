@@ -22,7 +22,7 @@ types: $(VENV)/.dev
 # Editable and in one environment, so that a developer's checkout and a newcomer's are the same.
 $(VENV)/.demo: $(SETUP) | $(VENV)/.venv
 	@echo "installing what the demo needs: minutes the first time, nothing later"
-	$(BIN)/pip install --progress-bar on -c constraints.txt -e ".[all]"
+	$(BIN)/pip install --progress-bar on -c constraints.txt -e ".[map,report]"
 	@touch $@
 
 $(VENV)/.dev: $(SETUP) | $(VENV)/.venv
