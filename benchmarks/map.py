@@ -39,7 +39,11 @@ def make_map(run: str, n: int, dim: int, seed: int) -> PlaceMap:
     )
     return PlaceMap(
         header=MapHeader(
-            model="random", model_fingerprint="", preprocess_fingerprint="", synthetic=True
+            model="random",
+            model_fingerprint="",
+            preprocess_fingerprint="",
+            synthetic=True,
+            world="random",
         ),
         keys=tuple(f"{run}/{i}" for i in range(n)),
         datasets=("random",) * n,

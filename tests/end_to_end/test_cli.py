@@ -256,6 +256,8 @@ def test_a_query_that_cannot_be_read_leaves_the_map_alone(
     points = np.load(cloud)
     points[3] = np.nan
     np.save(holes, points)
+    double = tmp_path / "double.npy"
+    np.save(double, np.load(cloud).astype(np.float64))
     other = tmp_path / "other.bin"
     other.write_bytes(b"\0" * 19)
     for words, name in (
@@ -263,7 +265,10 @@ def test_a_query_that_cannot_be_read_leaves_the_map_alone(
         (["--cloud", cut], "cut.npy"),
         (["--cloud", empty], "empty.npy"),
         (["--cloud", holes], "holes.npy"),
-        (["--cloud", other], "other.bin"),
+        (["--cloud", other], "--lidar-height-m"),
+        (["--cloud", other, "--lidar-height-m", "1.73"], "other.bin"),
+        (["--cloud", cloud, "--lidar-height-m", "1.73"], "--lidar-height-m"),
+        (["--cloud", double], "astype(np.float32)"),
     ):
         said = type_in("locate", path, *words, "--model", weights)
         assert said.code == 2, name

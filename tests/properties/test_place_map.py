@@ -36,6 +36,7 @@ def contents(draw: st.DrawFn) -> dict[str, Any]:
             "model_fingerprint": draw(NAMES),
             "preprocess_fingerprint": draw(NAMES),
             "synthetic": draw(st.booleans()),
+            "world": draw(NAMES),
             "p": draw(st.sampled_from((1, 2))),
         },
         "keys": tuple(keys),

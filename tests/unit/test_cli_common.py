@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from adafusion.cli.common import choose_frames
+from adafusion.cli.common import cache_folder, choose_frames
 from adafusion.datasets import Dataset, DatasetInfo
 from adafusion.types import Frame, UserError
 
@@ -48,6 +48,18 @@ def test_a_slice_counts_within_each_run(
 def test_a_slice_that_is_none_or_keeps_nothing_is_refused(dataset: Dataset, frames: str) -> None:
     with pytest.raises(UserError, match="--frames"):
         choose_frames(dataset, None, frames)
+
+
+def test_an_empty_variable_names_no_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    monkeypatch.delenv("ADAFUSION_CACHE", raising=False)
+    usual = cache_folder(None)
+    assert usual == tmp_path / ".cache" / "adafusion"
+    monkeypatch.setenv("ADAFUSION_CACHE", "")
+    assert cache_folder(None) == usual
+    monkeypatch.setenv("ADAFUSION_CACHE", "elsewhere")
+    assert cache_folder(None) == Path("elsewhere")
+    assert cache_folder(Path("given")) == Path("given")
 
 
 def test_an_unknown_run_lists_the_runs_there_are(dataset: Dataset) -> None:

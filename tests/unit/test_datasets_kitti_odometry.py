@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
 import zlib
 from collections.abc import Callable, Iterable
@@ -138,6 +139,31 @@ def test_sequences_can_be_chosen_and_never_seem_to_meet(src: Path, tmp_path: Pat
     assert (both.runs, one.runs) == (("04", "07"), ("07",))
     np.testing.assert_allclose(both.positions_m[3:] - both.positions_m[:3], [[0.0, 1e4, 0.0]] * 3)
     np.testing.assert_allclose(one.positions_m, both.positions_m[:3])
+
+
+def test_another_choice_of_sequences_is_another_world(src: Path, tmp_path: Path) -> None:
+    write_sequence(src, "07")
+    worlds = [
+        prepare_kitti_odometry(src, tmp_path / f"{row}", sequences=names).world
+        for row, names in enumerate([None, ["04", "07"], ["07", "04"], ["04"], ["07"]])
+    ]
+    assert worlds[0] == worlds[1]  # the same runs at the same places
+    assert len(set(worlds)) == 4
+
+
+def test_sequences_without_poses_or_files_are_left_out_unless_named(
+    src: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in ("05", "11"):
+        write_sequence(src, name)
+    (src / "poses/11.txt").unlink()  # not public
+    shutil.rmtree(src / "sequences/05/image_2")
+    shutil.rmtree(src / "sequences/05/velodyne")
+    assert prepare_kitti_odometry(src, tmp_path / "out").runs == ("04",)
+    assert "left out 05, 11" in caplog.text
+    for name, told in (("05", r"sequences/05 has no image_2"), ("11", r"poses/11\.txt is missing")):
+        with pytest.raises(UserError, match=told):
+            prepare_kitti_odometry(src, tmp_path / name, sequences=["04", name])
 
 
 def test_progress_counts_the_frames(src: Path, tmp_path: Path) -> None:

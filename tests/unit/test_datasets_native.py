@@ -350,6 +350,24 @@ def test_opening_names_the_file_at_fault(
         open_dataset(toy.root)
 
 
+def test_a_dataset_shares_a_world_only_where_it_names_the_same(tmp_path: Path) -> None:
+    def write(name: str, world: str) -> Dataset:
+        with DatasetWriter(tmp_path / name, replace(INFO, world=world)) as writer:
+            writer.add(frame_at("day", len(name)), seen(0))
+        return open_dataset(tmp_path / name)
+
+    assert write("a", "campus").world == write("bb", "campus").world == "campus"
+    assert write("ccc", "").world != write("dddd", "").world
+    assert open_dataset(tmp_path / "ccc").world == open_dataset(tmp_path / "ccc").world
+
+
+def test_a_dataset_from_before_worlds_had_names_opens(toy: Dataset) -> None:
+    edit_manifest(lambda v: v.pop("world"))(toy.root)
+    opened = open_dataset(toy.root)
+    assert opened.info == toy.info
+    assert opened.world == f"{toy.info.name} {opened.fingerprint}"
+
+
 def test_opening_what_is_not_there_makes_nothing(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"typo/dataset\.yaml is missing: give the folder"):
         open_dataset(tmp_path / "typo")
@@ -371,7 +389,7 @@ def save(points: np.ndarray) -> Callable[[Path], None]:
         (save(np.full((2, 3), np.nan, np.float32)), r"0\.npy holds NaN or infinite points \(2\)"),
         (
             save(np.zeros((2, 4), np.float32)),
-            r"0\.npy holds float32 \(2, 4\), not float32 \(N, 3\)",
+            r"float32 \(2, 4\), not float32 \(N, 3\): .* points\[:, :3\]\.astype\(np\.float32\)",
         ),
         (save(np.zeros((2, 3))), r"0\.npy holds float64 \(2, 3\), not float32 \(N, 3\)"),
         (save(np.array([{}])), r"0\.npy is damaged .*pickle"),

@@ -11,7 +11,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from adafusion.mapping import Localizer, PlaceMap
+from adafusion.datasets import Dataset, DatasetInfo
+from adafusion.mapping import Localizer, MapHeader, PlaceMap
 from adafusion.models import AdaFusion, ModelConfig, describe
 from adafusion.preprocess import ImageSettings, Preprocess, VoxelGrid
 from adafusion.types import Description, Descriptions, Frame, UserError
@@ -64,6 +65,13 @@ def cloud(occupied: int) -> np.ndarray:
 SEEN = ((0, 8), (102, 6), (204, 4), (255, 2))  # grey level and voxels; brightness -1, -0.2, 0.6, 1
 
 
+def header_of(model: AdaFusion, p: int = 1) -> MapHeader:
+    info = DatasetInfo(
+        name="any", version="1", source="hand", licence="CC0-1.0", synthetic=True, world="any"
+    )
+    return MapHeader.of(model, Dataset(Path("any"), info, ()), p)
+
+
 def make_map(model: AdaFusion, p: int = 1) -> PlaceMap:
     tensors = [model.preprocess(grey(level), cloud(n)) for level, n in SEEN]
     images, voxels = (torch.stack(column) for column in zip(*tensors, strict=True))
@@ -79,12 +87,8 @@ def make_map(model: AdaFusion, p: int = 1) -> PlaceMap:
     return PlaceMap.from_descriptions(
         frames,
         describe(model, [(images, voxels)]),
-        model_name=model.name,
-        model_fingerprint=model.fingerprint,
-        preprocess_fingerprint=model.preprocess_fingerprint,
+        header=header_of(model, p),
         dataset="hand-made",
-        synthetic=True,
-        p=p,
     )
 
 
@@ -192,14 +196,14 @@ def test_it_answers_in_plain_values_for_json() -> None:
 
 
 def test_it_refuses_a_map_of_another_model() -> None:
-    with pytest.raises(UserError, match=r"made with another model: 'means-adafusion' .* load"):
+    with pytest.raises(UserError, match=r"model: 'means-adafusion', .* model fingerprint .* load"):
         Localizer(Means(scale=2.0), make_map(Means()))
 
 
 def test_it_refuses_a_map_of_another_preprocessing() -> None:
     model, other = Means(), Means()
     other.config = replace(other.config, preprocess=Preprocess())
-    with pytest.raises(UserError, match="made with another preprocessing"):
+    with pytest.raises(UserError, match=r"preprocess fingerprint .* instead of .* load the"):
         Localizer(other, make_map(model))
 
 
@@ -272,11 +276,8 @@ def test_it_finds_each_place_of_a_map_made_by_the_network_itself(system: str) ->
     place_map = PlaceMap.from_descriptions(
         [Frame(run="day", timestamp_us=i, position_m=(float(i), 0.0, 0.0)) for i in range(3)],
         describe(model, batches),
-        model_name=model.name,
-        model_fingerprint=model.fingerprint,
-        preprocess_fingerprint=model.preprocess_fingerprint,
+        header=header_of(model),
         dataset="random",
-        synthetic=True,
     )
     localizer = Localizer(model, place_map)
     sensors = {"image": images, "lidar": clouds}

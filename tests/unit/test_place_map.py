@@ -17,8 +17,16 @@ import pyarrow as pa
 import pytest
 
 from adafusion.geometry import pose_from_xyz_yaw
-from adafusion.mapping import PlaceMap, compact, info
+from adafusion.mapping import MapHeader, PlaceMap, compact, info
 from adafusion.types import Descriptions, Frame, UserError
+
+HEADER = MapHeader(
+    model="a",
+    model_fingerprint="aaaa",
+    preprocess_fingerprint="pppp",
+    synthetic=True,
+    world="campus 1",
+)
 
 
 def make_run(run: str = "day", n: int = 3, *, dim: int = 4, seed: int = 0) -> PlaceMap:
@@ -40,11 +48,8 @@ def make_run(run: str = "day", n: int = 3, *, dim: int = 4, seed: int = 0) -> Pl
     return PlaceMap.from_descriptions(
         frames,
         Descriptions(fused, image, lidar, alpha),
-        model_name="a",
-        model_fingerprint="aaaa",
-        preprocess_fingerprint="pppp",
+        header=HEADER,
         dataset="campus",
-        synthetic=True,
     )
 
 
@@ -222,6 +227,7 @@ def test_it_leaves_nothing_behind_when_saving_fails(
         ),
         ({"preprocess_fingerprint": "qqqq"}, "preprocess fingerprint 'qqqq' instead of 'pppp'"),
         ({"synthetic": False}, "synthetic False instead of True"),
+        ({"world": "campus 2"}, "world 'campus 2' instead of 'campus 1'"),
         ({"p": 2}, "p 2 instead of 1"),
     ],
 )
@@ -288,11 +294,8 @@ def test_it_is_read_only_and_leaves_the_arrays_of_its_maker_alone() -> None:
     place_map = PlaceMap.from_descriptions(
         [Frame(run="day", timestamp_us=0, position_m=(0.0, 0.0, 0.0))],
         Descriptions(fused, None, None, None),
-        model_name="a",
-        model_fingerprint="aaaa",
-        preprocess_fingerprint="pppp",
+        header=HEADER,
         dataset="campus",
-        synthetic=False,
     )
     for array in (place_map.positions_m, place_map.T_map_body, *place_map.parts.values()):
         with pytest.raises(ValueError, match="read-only"):
@@ -321,21 +324,6 @@ def test_it_opens_read_only(tmp_path: Path) -> None:
 )
 def test_it_fingerprints_everything_it_holds(changes: dict[str, object]) -> None:
     assert replace(make_run(), **changes).fingerprint != make_run().fingerprint
-
-
-def test_it_refuses_frames_that_lack_a_sensor() -> None:
-    frame = Frame(run="day", timestamp_us=0, position_m=(0.0, 0.0, 0.0))
-    half = np.ones((1, 2), np.float32)
-    with pytest.raises(UserError, match="lack a sensor that model 'a' needs"):
-        PlaceMap.from_descriptions(
-            [frame],
-            Descriptions(None, half, None, None),
-            model_name="a",
-            model_fingerprint="",
-            preprocess_fingerprint="",
-            dataset="campus",
-            synthetic=False,
-        )
 
 
 def test_it_refuses_parts_that_do_not_fit_together() -> None:

@@ -35,7 +35,8 @@ def cache_folder(given: Path | None) -> Path:
     """Where preprocessed frames are kept: the option, else ADAFUSION_CACHE, else ~/.cache."""
     if given is not None:
         return given
-    return Path(os.environ.get("ADAFUSION_CACHE", Path.home() / ".cache" / "adafusion"))
+    named = os.environ.get("ADAFUSION_CACHE")  # empty is as good as not set, not this folder
+    return Path(named) if named else Path.home() / ".cache" / "adafusion"
 
 
 def choose_frames(dataset: Dataset, runs: str | None = None, frames: str = "::") -> list[Frame]:

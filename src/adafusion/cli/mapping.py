@@ -15,7 +15,9 @@ from adafusion.cli.common import bar, choose_frames, say
 if TYPE_CHECKING:
     import numpy as np
 
+    from adafusion.datasets import Dataset
     from adafusion.mapping import Answer, Localizer, PlaceMap
+    from adafusion.models import AdaFusion
     from adafusion.types import Frame
 
 app = typer.Typer(help="Make, extend and inspect maps of described places.", no_args_is_help=True)
@@ -40,7 +42,10 @@ def build(
     \b
     Example: adafusion map build data/world-7 maps/campus.map --runs day
     """
-    place_map = _describe(dataset, model, runs, frames)
+    from adafusion.datasets import open_dataset
+    from adafusion.models import load_model
+
+    place_map = _describe(open_dataset(dataset), load_model(model), runs, frames)
     place_map.save(out)
     print(f"{out}: {len(place_map)} places, fingerprint {place_map.fingerprint}")
 
@@ -53,17 +58,19 @@ def add(
     runs: Runs = None,
     frames: Frames = "::",
 ) -> None:
-    """Append frames to a map, all or none; the model must be the map's own.
+    """Append frames to a map, all or none; model and world must be the map's own.
 
     \b
     Example: adafusion map add data/world-7 maps/campus.map --runs dusk
     """
-    from adafusion.mapping import Localizer, PlaceMap
+    from adafusion.datasets import open_dataset
+    from adafusion.mapping import MapHeader, PlaceMap
     from adafusion.models import load_model
 
-    # what is no map, or another model's, is refused before the work and not after it
-    Localizer(load_model(model), PlaceMap.open(out))
-    addition = _describe(dataset, model, runs, frames)
+    opened, loaded = open_dataset(dataset), load_model(model)
+    # what is no map, or not of this model and world, is refused before the work and not after it
+    PlaceMap.open(out).header.require(MapHeader.of(loaded, opened), out)
+    addition = _describe(opened, loaded, runs, frames)
     PlaceMap.append(out, addition)
     place_map = PlaceMap.open(out)
     print(f"{out}: {len(addition)} places more, {len(place_map)} in all, "
@@ -99,7 +106,7 @@ def info(
     synthetic = "  SYNTHETIC: not a real place" if facts.header.synthetic else ""
     print(f"places       {facts.places}{synthetic}")
     print(f"runs         {runs}")
-    print(f"datasets     {', '.join(facts.datasets)}")
+    print(f"datasets     {', '.join(facts.datasets)}; world {facts.header.world}")
     print(f"box (m)      {box}")
     print(f"model        {facts.header.model}, fingerprint {facts.header.model_fingerprint}")
     print(f"preprocess   fingerprint {facts.header.preprocess_fingerprint}")
@@ -116,8 +123,9 @@ def locate(
         typer.Option(help="Query cloud: .npy (N, 3) in the body frame, or KITTI .bin."),
     ] = None,
     lidar_height_m: Annotated[
-        float, typer.Option(help="Height of the sensor above the ground; added to z of a .bin.")
-    ] = 0.0,
+        float | None,
+        typer.Option(help="Height of the sensor above the ground, which a .bin must be told."),
+    ] = None,
     dataset: Annotated[
         Path | None, typer.Option(help="Instead of one query, all frames of a dataset.")
     ] = None,
@@ -169,10 +177,13 @@ def _locate_frames(
 
     dataset = open_dataset(path)
     chosen = choose_frames(dataset, runs, frames)
-    known = set(localizer.place_map.datasets)
-    same_world = known == {dataset.info.name}
+    world = localizer.place_map.header.world
+    same_world = world == dataset.world
     if not same_world:
-        say(f"the map is of {', '.join(known)}, not {dataset.info.name}: no distance to the truth")
+        say(
+            f"the map lies in the world {world!r}, {path} in {dataset.world!r}: "
+            "no distance to the truth"
+        )
     offs: list[float] = []
     for frame in bar(chosen, desc="locating"):
         seen = dataset.load(frame)
@@ -217,23 +228,19 @@ def _used(answer: Answer) -> str:
     return f"trust: image {answer.alpha[0]:.2f}, lidar {answer.alpha[1]:.2f}"
 
 
-def _describe(dataset_path: Path, model_name: str, runs: str | None, frames: str) -> PlaceMap:
+def _describe(dataset: Dataset, model: AdaFusion, runs: str | None, frames: str) -> PlaceMap:
     """Make an in-memory map of the chosen frames that have the sensors the model needs."""
-    from adafusion.datasets import open_dataset
-    from adafusion.mapping import PlaceMap
-    from adafusion.models import describe, frame_batches, load_model
-    from adafusion.types import UserError
+    from adafusion.mapping import MapHeader, PlaceMap
+    from adafusion.models import describe, frame_batches
+    from adafusion.types import UserError, lacking
 
-    dataset = open_dataset(dataset_path)
-    model = load_model(model_name)
     chosen = choose_frames(dataset, runs, frames)
-    usable = [
-        frame
-        for frame in chosen
-        if (model.image_net is None or frame.image) and (model.voxel_net is None or frame.cloud)
-    ]
+    usable = [frame for frame in chosen if not lacking(frame, model.config.system)]
     if not usable:
-        raise UserError(f"{dataset_path}: no chosen frame has the sensors {model_name} needs")
+        raise UserError(
+            f"{dataset.root}: no chosen frame has the sensors that model {model.name!r} needs; "
+            "take a model of the sensor they have (image or lidar)"
+        )
     if len(usable) < len(chosen):
         say(f"left out {len(chosen) - len(usable)} frames that lack a sensor")
     batch = 4
@@ -242,24 +249,33 @@ def _describe(dataset_path: Path, model_name: str, runs: str | None, frames: str
     return PlaceMap.from_descriptions(
         usable,
         describe(model, shown),
-        model_name=model.name,
-        model_fingerprint=model.fingerprint,
-        preprocess_fingerprint=model.preprocess_fingerprint,
+        header=MapHeader.of(model, dataset),
         dataset=dataset.info.name,
-        synthetic=dataset.info.synthetic,
     )
 
 
 def _read_query(
-    image: Path | None, cloud: Path | None, lidar_height_m: float
+    image: Path | None, cloud: Path | None, lidar_height_m: float | None
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
     import numpy as np
 
     from adafusion.datasets import read_cloud, read_image
     from adafusion.datasets.kitti_odometry import read_velodyne
+    from adafusion.types import UserError
 
+    in_sensor_frame = cloud is not None and cloud.suffix == ".bin"
+    if in_sensor_frame and lidar_height_m is None:
+        raise UserError(
+            f"{cloud} is in the frame of the sensor: give --lidar-height-m, its height above the "
+            "ground (KITTI: 1.73)"
+        )
+    if lidar_height_m is not None and not in_sensor_frame:
+        raise UserError(
+            "--lidar-height-m is for a .bin cloud: a .npy is in the body frame, where z = 0 is "
+            "the ground; leave the option out"
+        )
     points = None
-    if cloud is not None and cloud.suffix == ".bin":
+    if cloud is not None and in_sensor_frame:
         points = read_velodyne(cloud) + np.array([0, 0, lidar_height_m], dtype=np.float32)
     elif cloud is not None:
         points = read_cloud(cloud)

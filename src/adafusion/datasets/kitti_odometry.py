@@ -59,8 +59,8 @@ def prepare_kitti_odometry(
 
     Takes every frame that has a file, gaps are no harm; a frame with only an image or only a cloud
     is kept with None for the other. Images are kept byte for byte. `sequences` are names such as
-    "04", by default all under `src`. The world of the first run is the body frame of its first
-    pose; run k lies `k * RUN_SPACING_M` further along y.
+    "04", by default all that have files and poses. The world of the first run is the body frame of
+    its first pose; run k lies `k * RUN_SPACING_M` further along y: another list, another world.
 
     All files are read and checked on the way, a frame at a time. UserError names the first one that
     is missing, cut short, empty or not finite, and there is no `out` then.
@@ -76,6 +76,7 @@ def prepare_kitti_odometry(
         source="KITTI odometry benchmark (Geiger, Lenz, Urtasun, CVPR 2012)",
         licence="CC BY-NC-SA 3.0",
         synthetic=False,
+        world=f"KITTI odometry {' '.join(drive.run for drive in drives)}",
         sensors={
             "camera": "image_2: left colour camera, rectified",
             "lidar": f"Velodyne HDL-64E, {VELODYNE_HEIGHT_M} m above the ground",
@@ -125,7 +126,12 @@ def _choose(src: Path, sequences: Sequence[str] | None) -> list[str]:
     there = sorted(path.name for path in folder.glob("*") if path.is_dir())
     if not there:
         raise UserError(f"{folder} holds no sequences: give the folder above `sequences`")
-    chosen = there if sequences is None else list(dict.fromkeys(sequences))
+    if sequences is None:
+        whole = [name for name in there if _has_files(src, name) and _poses(src, name).is_file()]
+        if left_out := sorted(set(there) - set(whole)):
+            logger.warning("%s: left out %s: no files or no poses", src, ", ".join(left_out))
+        return whole or there  # where none is whole, to read the first says what it lacks
+    chosen = list(dict.fromkeys(sequences))
     if missing := [name for name in chosen if name not in there]:
         raise UserError(f"{folder / missing[0]} is missing: choose from {', '.join(there)}")
     if not chosen:
@@ -134,7 +140,7 @@ def _choose(src: Path, sequences: Sequence[str] | None) -> list[str]:
 
 
 def _read_drive(src: Path, run: str, origin_y_m: float) -> _Drive:
-    folder, poses_file = src / "sequences" / run, src / "poses" / f"{run}.txt"
+    folder, poses_file = src / "sequences" / run, _poses(src, run)
     calibration = _read_calibration(folder / "calib.txt")
     seconds = _read_rows(folder / "times.txt", columns=1)[:, 0]
     rows = _read_rows(poses_file, columns=12)
@@ -162,8 +168,8 @@ def _read_drive(src: Path, run: str, origin_y_m: float) -> _Drive:
         timestamps_us=[round(s * 1e6) for s in seconds.tolist()],
         T_world_body=T_world_body,
         calibration={name: value.tolist() for name, value in calibration.items()},
-        images=_find_files(folder / "image_2", IMAGE_SUFFIXES),
-        clouds=_find_files(folder / "velodyne", (".bin",)),
+        images=_find_images(folder),
+        clouds=_find_clouds(folder),
     )
     if not drive.indices:
         raise UserError(f"{folder} has no image_2/*.png and no velodyne/*.bin: fetch either")
@@ -232,6 +238,23 @@ def _read_text(path: Path) -> str:
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path} cannot be read ({error}): fetch it again") from error
+
+
+def _poses(src: Path, run: str) -> Path:
+    return src / "poses" / f"{run}.txt"
+
+
+def _has_files(src: Path, run: str) -> bool:
+    folder = src / "sequences" / run
+    return bool(_find_images(folder) or _find_clouds(folder))
+
+
+def _find_images(folder: Path) -> dict[int, Path]:
+    return _find_files(folder / "image_2", IMAGE_SUFFIXES)
+
+
+def _find_clouds(folder: Path) -> dict[int, Path]:
+    return _find_files(folder / "velodyne", (".bin",))
 
 
 def _find_files(folder: Path, suffixes: Sequence[str]) -> dict[int, Path]:

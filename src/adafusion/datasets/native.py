@@ -57,6 +57,7 @@ _INFO_TYPES: dict[str, type] = {
     "source": str,
     "licence": str,
     "synthetic": bool,
+    "world": str,
     "sensors": dict,
     "calibration": dict,
     "conventions": dict,
@@ -77,6 +78,7 @@ class DatasetInfo:
     source: str  # who made it, and with which settings
     licence: str
     synthetic: bool  # True where no real sensor saw it
+    world: str = ""  # names the world frame for `Dataset.world`; "": no other dataset shares it
     sensors: dict[str, Any] = field(default_factory=dict)
     # K, T_body_camera, T_body_lidar; by run where they differ
     calibration: dict[str, Any] = field(default_factory=dict)
@@ -103,6 +105,11 @@ class Dataset:
     def runs(self) -> tuple[str, ...]:
         """Names of the runs, sorted."""
         return tuple(sorted({frame.run for frame in self.frames}))
+
+    @cached_property
+    def world(self) -> str:
+        """Identity of the world frame: positions of two datasets compare only where it is equal."""
+        return self.info.world or f"{self.info.name} {self.fingerprint}"
 
     @cached_property
     def positions_m(self) -> Float[np.ndarray, "n 3"]:
@@ -172,7 +179,10 @@ def read_cloud(path: str | Path) -> Float32[np.ndarray, "n 3"]:
     except Exception as error:  # a damaged header is parsed as Python, and fails as anything
         raise _damaged(path, f"is damaged ({error})", "cloud") from error
     if points.dtype != np.float32 or points.ndim != 2 or points.shape[1] != 3:
-        raise _damaged(path, f"holds {points.dtype} {points.shape}, not float32 (N, 3)", "cloud")
+        raise UserError(
+            f"{path} holds {points.dtype} {points.shape}, not float32 (N, 3): save x, y, z alone, "
+            "as points[:, :3].astype(np.float32)"
+        )
     return check_points(points, path)
 
 
@@ -244,6 +254,7 @@ def _read_info(root: Path) -> tuple[DatasetInfo, dict[str, int]]:
         )
     if "runs" not in values:
         raise UserError(f"{path} is not finished: repeat the command that writes it, to resume")
+    values.setdefault("world", "")  # datasets written before it was noted
     expected = {"schema_version", "runs", *_INFO_TYPES}
     if wrong := expected ^ set(values):
         raise UserError(f"{path} lacks or misspells keys: {', '.join(sorted(map(str, wrong)))}")

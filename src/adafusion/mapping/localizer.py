@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,7 @@ from jaxtyping import Float
 from adafusion.mapping.place_map import PlaceMap
 from adafusion.models import AdaFusion, describe
 from adafusion.search import rank
-from adafusion.types import UserError
-
-SENSORS = ("image", "lidar")  # in the order of alpha
+from adafusion.types import SENSORS, UserError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,16 +64,18 @@ class Localizer:
         if k < 1:
             raise ValueError(f"k {k} must be at least 1")
         header = place_map.header
-        for what, ours, maps in (
-            ("preprocessing", model.preprocess_fingerprint, header.preprocess_fingerprint),
-            ("model", model.fingerprint, header.model_fingerprint),
-        ):
-            if ours != maps:
-                raise UserError(
-                    f"this map was made with another {what}: {header.model!r} with {what} "
-                    f"fingerprint {maps}, while the query's model {model.name!r} has {ours}; "
-                    "load the map's model, or build the map again with this one"
-                )
+        ours = replace(
+            header,
+            model=model.name,
+            model_fingerprint=model.fingerprint,
+            preprocess_fingerprint=model.preprocess_fingerprint,
+        )
+        if differences := header.differences(ours):
+            raise UserError(
+                f"this map was made with another model: {header.model!r}, while the query's is "
+                f"{model.name!r} with {'; '.join(differences)}; "
+                "load the map's model, or build the map again with this one"
+            )
         self.model = model
         self.place_map = place_map
         self.k = k

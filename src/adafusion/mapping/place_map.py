@@ -26,10 +26,12 @@ import pyarrow as pa
 from filelock import FileLock
 from jaxtyping import Float, Float32, Float64
 
+from adafusion.datasets import Dataset
 from adafusion.files import fingerprint
+from adafusion.models import AdaFusion
 from adafusion.types import Descriptions, Frame, UserError
 
-FORMAT = 1  # of the table; raised when an older reader would misread it
+FORMAT = 2  # of the table; raised when an older reader would misread it
 TABLE = "places"
 HEADER_KEY = b"adafusion"
 LOCK = "writer.lock"
@@ -48,11 +50,24 @@ class MapHeader:
     model_fingerprint: str
     preprocess_fingerprint: str
     synthetic: bool  # simulated places; a map never mixes them with real ones
+    world: str  # the frame of all positions, which compare with those of no other world
     p: int = 1  # places are ranked by the Lp distance between descriptors: 1 or 2
 
     def __post_init__(self) -> None:
         if self.p not in (1, 2):
             raise ValueError(f"p {self.p} must be 1 or 2")
+
+    @classmethod
+    def of(cls, model: AdaFusion, dataset: Dataset, p: int = 1) -> MapHeader:
+        """Head a map of places that `model` describes from frames of `dataset`."""
+        return cls(
+            model=model.name,
+            model_fingerprint=model.fingerprint,
+            preprocess_fingerprint=model.preprocess_fingerprint,
+            synthetic=dataset.info.synthetic,
+            world=dataset.world,
+            p=p,
+        )
 
     def differences(self, other: MapHeader) -> list[str]:
         """Say where `other` departs from this header: "p 2 instead of 1"."""
@@ -61,6 +76,15 @@ class MapHeader:
             for f in fields(self)
             if f.compare and (ours := getattr(self, f.name)) != (theirs := getattr(other, f.name))
         ]
+
+    def require(self, other: MapHeader, path: str | Path) -> None:
+        """Raise UserError unless places under `other` may join the map at `path`, this one's."""
+        if differences := self.differences(other):
+            raise UserError(
+                f"{path} is a map of model {self.model!r}, which places of model {other.model!r} "
+                f"do not fit: {'; '.join(differences)}. A map is of one model and one world: "
+                "describe the places as the map's were, or build a map of their own"
+            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,32 +148,14 @@ class PlaceMap:
         frames: Sequence[Frame],
         descriptions: Descriptions,
         *,
-        model_name: str,
-        model_fingerprint: str,
-        preprocess_fingerprint: str,
+        header: MapHeader,
         dataset: str,
-        synthetic: bool,
-        p: int = 1,
     ) -> PlaceMap:
-        """Make the map of `frames` of one dataset from what the model said of them, row by row.
-
-        Raises UserError where the frames lack a sensor that the model needs.
-        """
-        if descriptions.fused is None:
-            raise UserError(
-                f"{dataset}: frames lack a sensor that model {model_name!r} needs; "
-                "map them with a model of the sensor they have (image or lidar)"
-            )
+        """Make the map of `frames` of one dataset from what the model said of them, row by row."""
         nowhere = np.full((4, 4), np.nan)
         poses = [nowhere if f.T_world_body is None else f.T_world_body for f in frames]
         return cls(
-            header=MapHeader(
-                model=model_name,
-                model_fingerprint=model_fingerprint,
-                preprocess_fingerprint=preprocess_fingerprint,
-                synthetic=synthetic,
-                p=p,
-            ),
+            header=header,
             keys=tuple(frame.key for frame in frames),
             datasets=(dataset,) * len(frames),
             zones=tuple(frame.zone for frame in frames),
@@ -200,6 +206,7 @@ class PlaceMap:
             try:
                 whole = partial / "map"  # a level below, as mkdtemp makes its folder private
                 _lancedb().connect(whole).create_table(TABLE, _to_arrow(self))
+                (whole / LOCK).touch()  # now, so that a refused append adds no file
                 whole.rename(path)
             finally:
                 shutil.rmtree(partial, ignore_errors=True)
@@ -210,18 +217,15 @@ class PlaceMap:
 
         Once this returns the places outlive the process; if it raises, the map is as it was.
         Raises UserError where there is no map, where `addition` was made by another model or
-        preprocessing, or where the map has one of its keys already.
+        preprocessing or lies in another world, or where the map has one of its keys already.
         """
         table, header = _open_table(path)
-        differences = header.differences(addition.header)
+        header.require(addition.header, path)
         rows = _to_arrow(addition)
-        if not differences and rows.schema != table.schema:
-            differences = [f"columns {_columns(rows.schema)} instead of {_columns(table.schema)}"]
-        if differences:
+        if rows.schema != table.schema:
             raise UserError(
-                f"{path} is a map of model {header.model!r}, which places of model "
-                f"{addition.header.model!r} do not fit: {'; '.join(differences)}. "
-                "Describe them with the map's model and settings, or build a map of their own"
+                f"{path}: the places do not fit: columns {_columns(rows.schema)} instead of "
+                f"{_columns(table.schema)}; describe them with the map's own model"
             )
         # one process at a time, or two could add the same run; a dead one holds nothing
         with _blaming(path, *UNWRITABLE), FileLock(Path(path) / LOCK):
