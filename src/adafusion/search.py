@@ -49,7 +49,10 @@ def rank(
 def pairwise_distances(
     a: Float[np.ndarray, "m d"], b: Float[np.ndarray, "n d"], *, p: int = 1
 ) -> Float32[np.ndarray, "m n"]:
-    """Compute the distance of every row of `a` to every row of `b`, as `rank` does up to rounding."""
+    """Compute the distance of every row of `a` to every row of `b`.
+
+    They are those of `rank` but for the rounding of sums taken in another order.
+    """
     a, b = _checked(a, b, p)
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise ValueError(NOT_FINITE)

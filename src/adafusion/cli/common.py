@@ -23,7 +23,8 @@ T = TypeVar("T")
 def bar(items: Iterable[T], *, total: int | None = None, desc: str = "") -> Iterable[T]:
     """Show a bar on stderr: redrawn on a terminal, a line every few seconds in a log."""
     interval = 0.1 if sys.stderr.isatty() else 5.0
-    return tqdm(items, total=total, desc=desc, mininterval=interval, dynamic_ncols=True)
+    shown = tqdm(items, total=total, desc=desc, mininterval=interval, dynamic_ncols=True)
+    return iter(shown)  # a plain iterator: tqdm looks like a container, that can be read twice
 
 
 def say(message: str) -> None:

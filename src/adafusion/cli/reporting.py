@@ -172,7 +172,7 @@ def _retrievals(judged: Judged, dataset: Dataset) -> tuple[Retrieval, ...]:
         found = [
             (result, i)
             for result in judged.evaluation.results
-            for i in np.flatnonzero(result.first_hit > 0)
+            for i in np.flatnonzero(result.first_hit > 0).tolist()
             if (result.first_hit[i] == 1) == wanted
         ]
         spread = np.unique(np.linspace(0, len(found) - 1, RETRIEVALS).round().astype(int))

@@ -20,7 +20,16 @@ from adafusion.evaluation.protocols import make_splits
 from adafusion.evaluation.weights import summarize_alpha
 from adafusion.models import AdaFusion, describe, prepared_batches
 from adafusion.preprocess.cache import prepare_cache
-from adafusion.types import AlphaSummary, Descriptions, Frame, Progress, Split, UserError, silent
+from adafusion.types import (
+    AlphaSummary,
+    Descriptions,
+    Frame,
+    Progress,
+    Split,
+    UserError,
+    lacking,
+    silent,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -84,7 +93,8 @@ def judge(
             "give one of the files another name"
         )
     asked = _rows(splits)
-    lacks = _lacks_sensor(models, dataset.frames)
+    systems = {model.config.system for model in models}
+    lacks = np.array([any(lacking(f, system) for system in systems) for f in dataset.frames])
     splits = [split for full in splits if (split := _without(full, lacks, dataset.frames))]
     if not splits:
         raise UserError(
@@ -125,17 +135,6 @@ def alpha_by(
 def _rows(splits: Sequence[Split]) -> Int[np.ndarray, " rows"]:
     """Every frame that one of the splits speaks of, once, rising."""
     return np.unique(np.concatenate([np.r_[s.query_rows, s.database_rows] for s in splits]))
-
-
-def _lacks_sensor(models: Sequence[AdaFusion], frames: Sequence[Frame]) -> Bool[np.ndarray, " n"]:
-    needs_image = any(model.image_net is not None for model in models)
-    needs_cloud = any(model.voxel_net is not None for model in models)
-    return np.array(
-        [
-            (needs_image and frame.image is None) or (needs_cloud and frame.cloud is None)
-            for frame in frames
-        ]
-    )
 
 
 def _without(
