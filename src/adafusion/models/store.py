@@ -27,8 +27,8 @@ def load_model(name_or_path: str | Path, device: str | torch.device = "cpu") -> 
     """Load a shipped model by name, or a .safetensors file, ready to describe places.
 
     A file is known by its stem, or by its folder where it has the name that every training gives:
-    runs/mine/model.safetensors is "mine". Nothing in the file is executed. Raises UserError for an unknown name or a file that is not a
-    whole model file.
+    runs/mine/model.safetensors is "mine". Nothing in the file is executed. Raises UserError for an
+    unknown name or a file that is not a whole model file.
     """
     path = model_path(name_or_path)
     config, _ = read_header(path)
