@@ -82,7 +82,7 @@ def report_data(
             ),
             exclude_self=split.exclude_self,
             exclude_query_run=split.exclude_query_run,
-            intervals=f"95 % bootstrap over {e.num_places} blocks of 50 m of ground, seed "
+            intervals=f"bootstrap over {e.num_places} blocks of 50 m of ground, seed "
             f"{config.seed}; differences are paired",
         ),
         systems=tuple(

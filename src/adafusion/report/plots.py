@@ -37,7 +37,7 @@ INK, FAINT = "#1f2430", "#8b93a3"
 IMAGE, LIDAR = "#e69f00", "#0072b2"
 RIGHT, WRONG = "#009e73", "#d55e00"
 SYSTEMS = {"image": IMAGE, "lidar": LIDAR, "concat": "#cc79a7", "adafusion": INK}
-SPARE = ("#56b4e9", "#8a6d1f", "#7b5ea7", "#6b7280", "#a3333d")
+SPARE = ("#8a6d1f", "#7b5ea7", "#a3333d", "#6b7280", "#56b4e9")
 
 WIDE, HALF = 9.4, 4.6  # inches: the width of a page, and of a chart with a neighbour
 MANY = 3000  # marks from which a picture is smaller than their outlines
