@@ -10,7 +10,7 @@ import pytest
 
 from adafusion.evaluation import compare, evaluate_splits, make_splits, result_record
 from adafusion.files import write_json
-from adafusion.types import Frame, Split, UserError
+from adafusion.types import Estimate, Frame, Split, UserError
 
 
 def split(query: list[int], database: list[int], **options: object) -> Split:
@@ -176,6 +176,12 @@ def test_it_refuses_what_makes_no_evaluation() -> None:
         evaluate_splits(DESCRIPTORS, POSITIONS, [split([4], [0])], ks=(5, 10))
     with pytest.raises(ValueError, match="finite"):
         evaluate_splits(DESCRIPTORS * np.nan, POSITIONS, [split([4], [0])])
+
+
+def test_an_estimate_is_printed_in_percent_with_its_interval() -> None:
+    assert Estimate(0.75, (0.5, 1.0)).in_percent() == "75.0 [50.0, 100.0]"
+    assert Estimate(0.0312, (-0.01, 0.05)).in_percent("+") == "+3.1 [-1.0, +5.0]"
+    assert Estimate(0.75).in_percent() == "75.0"
 
 
 def test_the_record_holds_what_a_repetition_needs(tmp_path: Path) -> None:
