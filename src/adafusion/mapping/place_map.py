@@ -82,8 +82,8 @@ class MapHeader:
         if differences := self.differences(other):
             raise UserError(
                 f"{path} is a map of model {self.model!r}, which places of model {other.model!r} "
-                f"do not fit: {'; '.join(differences)}. A map is of one model and one world: "
-                "describe the places as the map's were, or build a map of their own"
+                f"do not fit: {'; '.join(differences)}. Describe them with the map's model "
+                "and settings, from a dataset in its world, or build a map of their own"
             )
 
 
