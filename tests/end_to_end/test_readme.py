@@ -14,7 +14,7 @@ import typer.main
 import adafusion
 from adafusion.cli import app
 from adafusion.datasets import Dataset
-from adafusion.mapping import PlaceMap
+from adafusion.mapping import MapHeader, PlaceMap
 from adafusion.models import describe, frame_batches
 
 ROOT = Path(__file__).parents[2]
@@ -65,11 +65,8 @@ def test_the_python_of_the_readme_runs(
     PlaceMap.from_descriptions(
         frames,
         describe(model, frame_batches(model, frames, tiny_world.load)),
-        model_name=model.name,
-        model_fingerprint=model.fingerprint,
-        preprocess_fingerprint=model.preprocess_fingerprint,
+        header=MapHeader.of(model, tiny_world),
         dataset=tiny_world.info.name,
-        synthetic=True,
     ).save(tmp_path / "campus.map")
     monkeypatch.chdir(tmp_path)
     seen = tiny_world.load(frames[2])

@@ -13,7 +13,14 @@ from torch import Tensor, nn
 
 from adafusion.models.adafusion import AdaFusion
 from adafusion.preprocess.cache import PreparedFrames, PreparedSet
-from adafusion.types import Description, Descriptions, Frame, Observation, UserError
+from adafusion.types import (
+    Description,
+    Descriptions,
+    Frame,
+    Observation,
+    UserError,
+    lacking,
+)
 
 Inputs = tuple[Tensor | None, Tensor | None]  # image (B, 3, H, W), voxels (B, 1, X, Y, Z)
 
@@ -48,27 +55,22 @@ def frame_batches(
 
     Raises UserError for a frame that lacks one of them.
     """
-    needs_image, needs_cloud = model.image_net is not None, model.voxel_net is not None
+    if poor := next((f for f in frames if lacking(f, model.config.system)), None):
+        raise UserError(
+            f"frame {poor.key} lacks a sensor that model {model.name!r} needs: leave it out, or "
+            "take a model of the other sensor"
+        )
     for start in range(0, len(frames), batch_size):
         images: list[Tensor] = []
         grids: list[Tensor] = []
         for frame in frames[start : start + batch_size]:
             seen = load(frame)
             image, voxels = model.preprocess(
-                seen.image if needs_image else None, seen.points_body if needs_cloud else None
+                None if model.image_net is None else seen.image,
+                None if model.voxel_net is None else seen.points_body,
             )
-            for tensor, needed, where in (
-                (image, needs_image, images),
-                (voxels, needs_cloud, grids),
-            ):
-                if not needed:
-                    continue
-                if tensor is None:
-                    raise UserError(
-                        f"frame {frame.key} lacks a sensor that model {model.name!r} needs: leave "
-                        "it out, or take a model of the other sensor"
-                    )
-                where.append(tensor)
+            images += [] if image is None else [image]
+            grids += [] if voxels is None else [voxels]
         yield (torch.stack(images) if images else None, torch.stack(grids) if grids else None)
 
 

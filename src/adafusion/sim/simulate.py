@@ -290,6 +290,7 @@ def _describe(job: Job, world: World, regions: str) -> DatasetInfo:
     return DatasetInfo(
         name=f"world-{job.profile}-{job.seed}",
         version=WORLD_VERSION,
+        world=f"synthetic world {job.seed} profile {job.profile} version {WORLD_VERSION}",
         source=f"synthetic world, seed {job.seed}, profile {job.profile}, {places}, "
         f"runs {' '.join(job.runs)}",
         licence="CC0-1.0",

@@ -28,7 +28,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from adafusion.config import load_config, save_config
-from adafusion.files import atomic_path, fingerprint
+from adafusion.files import atomic_path, fingerprint, sweep_temporaries
 from adafusion.losses import (
     active_share,
     contrastive_softmax,
@@ -357,8 +357,8 @@ class _Sampler:
         )
         if not len(self.pairs.positive):
             raise UserError(
-                f"no two of the {len(rows)} frames lie within {sampling.d_pos_m:g} m of each other: "
-                "give more runs of the same places, or raise sampling.d_pos_m"
+                f"no two of the {len(rows)} frames lie within {sampling.d_pos_m:g} m of each "
+                "other: give more runs of the same places, or raise sampling.d_pos_m"
             )
         self.batches_per_epoch = (
             num_pair_batches(self.pairs, sampling.items)
@@ -458,6 +458,7 @@ def _claim(out: Path, config: TrainConfig, resume: bool) -> None:
     if not resume and has_state:
         raise UserError(f"{out} holds a training: give --resume to go on, or another folder")
     out.mkdir(parents=True, exist_ok=True)
+    sweep_temporaries(out)
     if resume and load_config(TrainConfig, out / CONFIG_FILE) != config:
         raise UserError(
             f"{out / CONFIG_FILE} differs from the configuration given now; resume with that file, "
