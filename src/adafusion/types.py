@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from torch import Tensor
+
+if TYPE_CHECKING:
+    from torch import Tensor  # only annotations name it, and `adafusion --help` shall not wait
 
 T = TypeVar("T")
 
