@@ -44,7 +44,7 @@ class Loss:
     an L1 distance does.
     """
 
-    kind: Literal["margin", "softmax"] = "margin"
+    kind: Literal["margin", "softmax"] = "softmax"
     margin: float = 25.0
     slack: float = 1.0
     similarity: Literal["cosine", "l1"] = "cosine"  # what the softmax compares
@@ -121,8 +121,7 @@ class TrainConfig:
     stage: Literal["end-to-end", "weights"] = "end-to-end"  # weights: branches frozen
     schedule: Literal["joint", "staged"] = "staged"  # staged: each branch alone, then together
     branch_batches: int | None = None  # of each branch alone, where staged; default: as `batches`
-    branch_loss: Literal["margin", "softmax"] = "softmax"  # of each branch alone, where staged
-    joint_rate: float = 0.3  # learning rate of the staged branches together, as a share
+    joint_rate: float = 0.15  # learning rate of the staged branches together, as a share
 
     def __post_init__(self) -> None:
         if self.stage == "weights" and self.model.system != "adafusion":
@@ -179,5 +178,4 @@ def _branch(config: TrainConfig, system: System) -> TrainConfig:
         batches=config.branch_batches or config.batches,
         schedule="joint",
         stage="end-to-end",
-        loss=replace(config.loss, kind=config.branch_loss),
     )
