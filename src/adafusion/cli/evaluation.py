@@ -118,10 +118,10 @@ def table(judged: Sequence[Judged], seed: int) -> str:
     measures = {"recall@1": "AR@1", "recall@5": "AR@5", "recall@1%": "AR@1%"}
     first, *others = judged
     wide = max(len(j.name) for j in judged)
-    lines = [f"{'model':{wide}}  " + "".join(f"{word:20}" for word in measures)]
+    lines = [f"{'model':{wide}}  " + "".join(f"{word:22}" for word in measures)]
     for j in judged:
         estimates = j.evaluation.estimates(seed=seed)
-        cells = [f"{estimates[measure].in_percent():20}" for measure in measures.values()]
+        cells = [f"{estimates[measure].in_percent():22}" for measure in measures.values()]
         lines.append(f"{j.name:{wide}}  " + "".join(cells))
     for j in others:
         gap = compare(first.evaluation, j.evaluation, seed=seed)["AR@1"]

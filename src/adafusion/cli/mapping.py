@@ -112,7 +112,7 @@ def info(
     print(f"preprocess   fingerprint {facts.header.preprocess_fingerprint}")
     print(f"descriptions {dims}; ranked by L{facts.header.p}")
     print(f"content      fingerprint {facts.fingerprint}")
-    print(f"on disk      {facts.bytes_on_disk / 1e6:.1f} MB, {facts.versions} versions")
+    print(f"on disk      {facts.bytes_on_disk / 1e3:,.0f} kB, {facts.versions} versions")
 
 
 def locate(
