@@ -52,7 +52,8 @@ def main() -> None:
     lines = [
         f"# Shipped models on a world nobody trained on, {datetime.now(UTC):%Y-%m-%d}",
         "",
-        f"`python benchmarks/shipped_models.py {arguments.dataset}`, commit {git_commit()}.",
+        f"`python benchmarks/shipped_models.py data/{arguments.dataset.name}`, commit "
+        f"{git_commit()}.",
         "",
         f"SYNTHETIC data: {dataset.info.source}, version {dataset.info.version}, fingerprint "
         f"{dataset.fingerprint}. Protocol cross-run, test region, 20 m, L1; recall@1 in percent "

@@ -65,7 +65,8 @@ def train(
     from adafusion.provenance import git_commit, software_versions
     from adafusion.training import TrainConfig, phases
     from adafusion.training import train as run
-    from adafusion.training.loop import MODEL_FILE, STATE_FILE
+    from adafusion.training.checkpoint import STATE_FILE
+    from adafusion.training.loop import MODEL_FILE
 
     settings = load_config(TrainConfig, config, change or [])
     folder = cache_folder(cache)

@@ -24,11 +24,9 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from adafusion.config import load_config, save_config
-from adafusion.files import atomic_path, fingerprint, sweep_temporaries
+from adafusion.files import fingerprint
 from adafusion.losses import (
     active_share,
     contrastive_softmax,
@@ -41,6 +39,7 @@ from adafusion.models.backbones import add_norms, fold_norms, initialise_he
 from adafusion.preprocess.augment import color_jitter, jitter_points
 from adafusion.preprocess.cache import PreparedSet
 from adafusion.preprocess.image import to_unit
+from adafusion.training.checkpoint import claim, restore_checkpoint, save_checkpoint
 from adafusion.training.pairs import (
     Batch,
     Pairs,
@@ -60,8 +59,6 @@ Validate = Callable[[AdaFusion], Mapping[str, float]]
 Points = Callable[[int], Float[np.ndarray, "n 3"]]
 
 MODEL_FILE = "model.safetensors"  # the best on validation, ready to use
-CONFIG_FILE = "train.yaml"
-STATE_FILE = "state.pt"  # where a resumed training goes on
 SELECTED_BY = "recall@1"
 BALANCE_BATCHES = 4
 
@@ -113,7 +110,7 @@ def train(
     if config.augment.jitter_m and points is None:
         raise ValueError("augment.jitter_m moves raw points: give `points`")
     out = Path(out)
-    _claim(out, config, resume)
+    claim(out, config, resume)
     sampler = _Sampler(config.sampling, data, rows, config.seed)
     batches = config.batches or config.epochs * sampler.batches_per_epoch
 
@@ -133,7 +130,7 @@ def train(
     same = {"data": _data_fingerprint(data, rows), "precision": precision}
     done, passes, best = 0, 0, -math.inf
     if resume:  # after the setup, which moves the model to its device
-        done, passes, best = _restore(out, model, optimizer, scheduler, same)
+        done, passes, best = restore_checkpoint(out, model, optimizer, scheduler, same)
         use_channels_last(model)
     model.train()
 
@@ -201,7 +198,7 @@ def train(
             if config.optimiser.schedule == "plateau":
                 scheduler.step(validation[SELECTED_BY])
         if done % config.checkpoint_every == 0 or validation is not None:
-            _checkpoint(out, model, optimizer, scheduler, done, passes, best, same)
+            save_checkpoint(out, model, optimizer, scheduler, done, passes, best, same)
         yield Step(
             batch=done,
             batches=batches,
@@ -448,74 +445,3 @@ def _scheduler(config: TrainConfig, optimizer: torch.optim.Optimizer, batches: i
         return rise * 0.5 * (1.0 + math.cos(math.pi * min(1.0, batch / batches)))
 
     return torch.optim.lr_scheduler.LambdaLR(optimizer, share)
-
-
-def _claim(out: Path, config: TrainConfig, resume: bool) -> None:
-    """Make `out` this training's folder, or see that it already is."""
-    has_state = (out / STATE_FILE).exists()
-    if resume and not has_state:
-        raise UserError(f"{out / STATE_FILE}: no such file; start without --resume")
-    if not resume and has_state:
-        raise UserError(f"{out} holds a training: give --resume to go on, or another folder")
-    out.mkdir(parents=True, exist_ok=True)
-    sweep_temporaries(out)
-    if resume and load_config(TrainConfig, out / CONFIG_FILE) != config:
-        raise UserError(
-            f"{out / CONFIG_FILE} differs from the configuration given now; resume with that file, "
-            "or train into another folder"
-        )
-    save_config(config, out / CONFIG_FILE)
-
-
-def _checkpoint(
-    out: Path,
-    model: AdaFusion,
-    optimizer: Any,
-    scheduler: Any,
-    done: int,
-    passes: int,
-    best: float,
-    same: Mapping[str, str],
-) -> None:
-    """Write weights, then the state that names them: a kill in between leaves the last pair."""
-    weights = f"weights-{done}.safetensors"
-    with atomic_path(out / weights) as temporary:
-        save_file(
-            {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}, temporary
-        )
-    state = {
-        "weights": weights,
-        "done": done,
-        "passes": passes,
-        "best": best,
-        "same": dict(same),
-        "optimizer": optimizer.state_dict(),
-        "scheduler": {k: v for k, v in scheduler.state_dict().items() if not callable(v)},
-    }
-    with atomic_path(out / STATE_FILE) as temporary:
-        torch.save(state, temporary)
-    for old in out.glob("weights-*.safetensors"):
-        if old.name != weights:
-            old.unlink()
-
-
-def _restore(
-    out: Path, model: AdaFusion, optimizer: Any, scheduler: Any, same: Mapping[str, str]
-) -> tuple[int, int, float]:
-    """Take training up where the last checkpoint left it: batches, frame passes, best recall.
-
-    `same` is what must not have changed since, by name.
-    """
-    path = out / STATE_FILE
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        if changed := [name for name in same if state["same"][name] != same[name]]:
-            raise ValueError(f"it was begun with another {' and another '.join(changed)}")
-        model.load_state_dict(load_file(out / state["weights"]))
-        optimizer.load_state_dict(state["optimizer"])
-        scheduler.load_state_dict(state["scheduler"])
-        return int(state["done"]), int(state["passes"]), float(state["best"])
-    except Exception as error:
-        raise UserError(
-            f"{path}: cannot be resumed ({type(error).__name__}: {error}); train into a new folder"
-        ) from error

@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of a training: whose it is, and where a resumed one goes on.
+
+Weights lie in a safetensors file of their own; optimiser, schedule and counts in a second one that
+names it and is read as plain tensors and numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import load_file, save_file
+
+from adafusion.config import load_config, save_config
+from adafusion.files import atomic_path, sweep_temporaries
+from adafusion.models import AdaFusion
+from adafusion.training.settings import TrainConfig
+from adafusion.types import UserError
+
+CONFIG_FILE = "train.yaml"
+STATE_FILE = "state.pt"  # where a resumed training goes on
+
+
+def claim(out: Path, config: TrainConfig, resume: bool) -> None:
+    """Make `out` this training's folder, or see that it already is."""
+    has_state = (out / STATE_FILE).exists()
+    if resume and not has_state:
+        raise UserError(f"{out / STATE_FILE}: no such file; start without --resume")
+    if not resume and has_state:
+        raise UserError(f"{out} holds a training: give --resume to go on, or another folder")
+    out.mkdir(parents=True, exist_ok=True)
+    sweep_temporaries(out)
+    if resume and load_config(TrainConfig, out / CONFIG_FILE) != config:
+        raise UserError(
+            f"{out / CONFIG_FILE} differs from the configuration given now; resume with that file, "
+            "or train into another folder"
+        )
+    save_config(config, out / CONFIG_FILE)
+
+
+def save_checkpoint(
+    out: Path,
+    model: AdaFusion,
+    optimizer: Any,
+    scheduler: Any,
+    done: int,
+    passes: int,
+    best: float,
+    same: Mapping[str, str],
+) -> None:
+    """Write weights, then the state that names them: a kill in between leaves the last pair."""
+    weights = f"weights-{done}.safetensors"
+    with atomic_path(out / weights) as temporary:
+        save_file(
+            {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}, temporary
+        )
+    state = {
+        "weights": weights,
+        "done": done,
+        "passes": passes,
+        "best": best,
+        "same": dict(same),
+        "optimizer": optimizer.state_dict(),
+        "scheduler": {k: v for k, v in scheduler.state_dict().items() if not callable(v)},
+    }
+    with atomic_path(out / STATE_FILE) as temporary:
+        torch.save(state, temporary)
+    for old in out.glob("weights-*.safetensors"):
+        if old.name != weights:
+            old.unlink()
+
+
+def restore_checkpoint(
+    out: Path, model: AdaFusion, optimizer: Any, scheduler: Any, same: Mapping[str, str]
+) -> tuple[int, int, float]:
+    """Take training up where the last checkpoint left it: batches, frame passes, best recall.
+
+    `same` is what must not have changed since, by name.
+    """
+    path = out / STATE_FILE
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        if changed := [name for name in same if state["same"][name] != same[name]]:
+            raise ValueError(f"it was begun with another {' and another '.join(changed)}")
+        model.load_state_dict(load_file(out / state["weights"]))
+        optimizer.load_state_dict(state["optimizer"])
+        scheduler.load_state_dict(state["scheduler"])
+        return int(state["done"]), int(state["passes"]), float(state["best"])
+    except Exception as error:
+        raise UserError(
+            f"{path}: cannot be resumed ({type(error).__name__}: {error}); train into a new folder"
+        ) from error
