@@ -275,3 +275,36 @@ def test_a_query_that_cannot_be_read_leaves_the_map_alone(
         assert name in said.err
     assert PlaceMap.open(path).fingerprint == before
     assert cv2.imread(str(image)) is not None
+
+
+def test_a_resume_with_another_configuration_is_refused_and_changes_nothing(
+    type_in, tiny_world: Dataset, weights: Path, tmp_path: Path
+) -> None:
+    model = load_model(weights).config.preprocess
+    out = tmp_path / "out"
+    words = [
+        "train", out, tiny_world.root, "--set", "model.width=0.125", "--set", "model.dim=16",
+        "--set", f"model.preprocess.image.size={list(model.image.size)}",
+        "--set", f"model.preprocess.voxels.shape={list(model.voxels.shape)}",
+        "--set", "sampling.places=4",
+    ]  # fmt: skip
+    assert type_in(*words, "--set", "batches=1").code == 0
+    asked = (out / "asked.yaml").read_bytes()
+    again = type_in(*words, "--set", "batches=1")
+    assert (again.code, "--resume" in again.err) == (2, True)
+    other = type_in(*words, "--set", "batches=2", "--resume")
+    assert (other.code, "differs" in other.err) == (2, True)
+    assert "preparing" not in other.err, "refused before the work"
+    assert (out / "asked.yaml").read_bytes() == asked
+    assert "done already" in type_in(*words, "--set", "batches=1", "--resume").err
+
+
+@pytest.mark.parametrize("name", ["README.md", "pyproject.toml", "LICENSE"])
+def test_a_file_that_is_no_checkpoint_is_named_without_a_traceback(
+    type_in, tmp_path: Path, name: str
+) -> None:
+    wrong = Path(__file__).parents[2] / name
+    said = type_in("import-released", wrong, tmp_path / "x.safetensors")
+    assert said.code == 2
+    assert name in said.err
+    assert "weights_only" not in said.err

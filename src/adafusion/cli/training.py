@@ -58,7 +58,7 @@ def train(
 
     \b
     Example: adafusion train runs/mine data/world-1 data/world-2 --config configs/small.yaml
-    Example: adafusion train runs/paper data/nclt --config configs/paper.yaml --accelerator gpu
+    Example: adafusion train runs/paper data/nclt --config configs/paper.yaml --accelerator cuda
     """
     from adafusion.config import load_config, save_config
     from adafusion.evaluation import validation_recall
@@ -67,8 +67,17 @@ def train(
     from adafusion.training import train as run
     from adafusion.training.checkpoint import STATE_FILE
     from adafusion.training.loop import MODEL_FILE
+    from adafusion.types import UserError
 
     settings = load_config(TrainConfig, config, change or [])
+    asked = out / "asked.yaml"  # train.yaml holds one phase each
+    if asked.exists() and not resume:
+        raise UserError(f"{out} holds a training: give --resume to go on, or another folder")
+    if asked.exists() and load_config(TrainConfig, asked) != settings:
+        raise UserError(
+            f"{asked} differs from the configuration given now: resume with the same, or train "
+            "into another folder"
+        )
     folder = cache_folder(cache)
     taught = Corpus.prepare(datasets, settings.model.preprocess, folder)
     rows = taught.rows("train")
@@ -85,8 +94,7 @@ def train(
         "commit": git_commit(),
         "versions": software_versions(),
     }
-    out.mkdir(parents=True, exist_ok=True)
-    save_config(settings, out / "asked.yaml")  # train.yaml holds one phase each
+    save_config(settings, asked)
     for phase in phases(settings, out):
         if resume and (phase.out / DONE).exists():
             say(f"{phase.name}: done already")

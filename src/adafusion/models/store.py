@@ -24,7 +24,7 @@ SHIPPED = ("adafusion-s", "concat-s", "image-s", "lidar-s")
 
 
 def load_model(name_or_path: str | Path, device: str | torch.device = "cpu") -> AdaFusion:
-    """Load a shipped model by name, or a .safetensors file, ready to describe places.
+    """Load a shipped model by name, or a .safetensors file, ready to describe places, not to learn.
 
     A file is known by its stem, or by its folder where it has the name that every training gives:
     runs/mine/model.safetensors is "mine". Nothing in the file is executed. Raises UserError for an
@@ -39,7 +39,7 @@ def load_model(name_or_path: str | Path, device: str | torch.device = "cpu") -> 
             model.load_state_dict({key: file.get_tensor(key) for key in file.keys()})  # noqa: SIM118
     except (RuntimeError, SafetensorError) as error:
         raise UserError(f"{path}: weights do not fit the model in its header: {error}") from error
-    return model.to(device).eval()
+    return model.to(device).eval().requires_grad_(False)
 
 
 def save_model(model: AdaFusion, path: str | Path, card: Mapping[str, Any] | None = None) -> None:
