@@ -43,8 +43,10 @@ def build(
     Example: adafusion map build data/world-7 maps/campus.map --runs day
     """
     from adafusion.datasets import open_dataset
+    from adafusion.mapping import require_free
     from adafusion.models import load_model
 
+    require_free(out)  # before the work, not after it
     place_map = _describe(open_dataset(dataset), load_model(model), runs, frames)
     place_map.save(out)
     print(f"{out}: {len(place_map)} places, fingerprint {place_map.fingerprint}")

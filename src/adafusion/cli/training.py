@@ -65,7 +65,7 @@ def train(
     from adafusion.provenance import git_commit, software_versions
     from adafusion.training import TrainConfig, phases
     from adafusion.training import train as run
-    from adafusion.training.checkpoint import STATE_FILE
+    from adafusion.training.checkpoint import STATE_FILE, require_config
     from adafusion.training.loop import MODEL_FILE
     from adafusion.types import UserError
 
@@ -73,11 +73,8 @@ def train(
     asked = out / "asked.yaml"  # train.yaml holds one phase each
     if asked.exists() and not resume:
         raise UserError(f"{out} holds a training: give --resume to go on, or another folder")
-    if asked.exists() and load_config(TrainConfig, asked) != settings:
-        raise UserError(
-            f"{asked} differs from the configuration given now: resume with the same, or train "
-            "into another folder"
-        )
+    if asked.exists():
+        require_config(asked, settings)
     folder = cache_folder(cache)
     taught = Corpus.prepare(datasets, settings.model.preprocess, folder)
     rows = taught.rows("train")

@@ -3,7 +3,7 @@
 """Maps of described places, and finding a place again on one."""
 
 from adafusion.mapping.localizer import Answer, Localizer, Place
-from adafusion.mapping.place_map import MapHeader, MapInfo, PlaceMap, compact, info
+from adafusion.mapping.place_map import MapHeader, MapInfo, PlaceMap, compact, info, require_free
 
 __all__ = [
     "Answer",
@@ -14,4 +14,5 @@ __all__ = [
     "PlaceMap",
     "compact",
     "info",
+    "require_free",
 ]

@@ -195,9 +195,7 @@ class PlaceMap:
 
         Raises UserError where `path` exists already or cannot be written.
         """
-        path = Path(path)
-        if path.exists():
-            raise UserError(f"{path} exists; add to it, or choose another path")
+        path = require_free(path)
         with _blaming(path, *UNWRITABLE):
             path.parent.mkdir(parents=True, exist_ok=True)
             partial = Path(
@@ -283,6 +281,14 @@ def compact(path: str | Path, keep: timedelta = timedelta(hours=1)) -> None:
     table, _ = _open_table(path)
     with _blaming(path, *UNWRITABLE):
         table.optimize(cleanup_older_than=keep)
+
+
+def require_free(path: str | Path) -> Path:
+    """Give `path` back where nothing is there yet, so that a new map can be; else UserError."""
+    path = Path(path)
+    if path.exists():
+        raise UserError(f"{path} exists; add to it, or choose another path")
+    return path
 
 
 def _frozen(array: Float[np.ndarray, " *any"], dtype: type) -> Float[np.ndarray, " *any"]:

@@ -34,12 +34,18 @@ def claim(out: Path, config: TrainConfig, resume: bool) -> None:
         raise UserError(f"{out} holds a training: give --resume to go on, or another folder")
     out.mkdir(parents=True, exist_ok=True)
     sweep_temporaries(out)
-    if resume and load_config(TrainConfig, out / CONFIG_FILE) != config:
-        raise UserError(
-            f"{out / CONFIG_FILE} differs from the configuration given now; resume with that file, "
-            "or train into another folder"
-        )
+    if resume:
+        require_config(out / CONFIG_FILE, config)
     save_config(config, out / CONFIG_FILE)
+
+
+def require_config(path: Path, config: TrainConfig) -> None:
+    """Raise UserError unless the configuration kept at `path` is `config`."""
+    if load_config(TrainConfig, path) != config:
+        raise UserError(
+            f"{path} differs from the configuration given now; resume with that file, or train "
+            "into another folder"
+        )
 
 
 def save_checkpoint(
