@@ -5,9 +5,10 @@
     OMP_NUM_THREADS=1 python benchmarks/world.py [--frames 30] [--output docs/results/world.md]
 
 CPU time of one process and one thread, over frames spread along a day, a night and a fog run of a
-world of each profile; then frames a second through `simulate` with two processes, everything in:
-start of the processes, world, pictures, files. Kernels are compiled before the clock starts. CPU
-time grows when other jobs share caches and memory, so the load average stands beside it.
+world of each profile, with what moves in its streets and the same frames without; then pairs of
+image and scan a second through `simulate` with two processes, everything in: start of the
+processes, world, pictures, files. Kernels are compiled before the clock starts. CPU time grows
+when other jobs share caches and memory, so the load average stands beside it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import resource
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -26,7 +28,8 @@ import numba
 import numpy as np
 
 from adafusion.datasets import write_observation
-from adafusion.sim.simulate import PROFILES, Job, Studio, simulate
+from adafusion.sim.simulate import simulate
+from adafusion.sim.studio import PROFILES, Studio, conditions_of, make_job
 
 SEED = 3
 RUNS = ("day", "night", "fog")
@@ -40,35 +43,43 @@ def cpu_ms(step: Callable[[], object]) -> float:
     return (time.process_time() - start) * 1e3
 
 
-def measure(profile: str, frames: int, folder: Path) -> str:
-    """One row of the table: mean CPU-ms of world, image, scan and files."""
-    studio = Studio(Job(seed=SEED, runs=RUNS, profile=profile, places=None))
+def measure(profile: str, frames: int, folder: Path, *, moving: bool) -> str:
+    """One row of the table: mean CPU-ms of world, moving objects, image, scan and files."""
+    runs = {run: conditions_of(SEED, run) for run in RUNS}
+    if not moving:
+        runs = {run: replace(c, traffic_density=0.0, people_density=0.0) for run, c in runs.items()}
+    job = make_job(SEED, runs, profile)
+    studio = Studio(job)
     studio.observe(RUNS[0], 0)
-    world_ms = cpu_ms(lambda: Studio(studio.job).scene(RUNS[0]))
+    world_ms = cpu_ms(lambda: Studio(job).points(RUNS[0], 0))
     cost = []
     for run in RUNS:
-        places = len(studio.drive(run).zone)
-        studio.scene(run)
+        way = studio.drive(run)
+        places = len(way.zone)
+        studio.points(run, 0)
         for k in np.linspace(0, places - 1, max(frames // len(RUNS), 1)).astype(int).tolist():
+            t, T = int(way.timestamp_us[k]), way.T_world_body[k]
+            moving_ms = cpu_ms(lambda run=run, t=t, T=T: studio.scene_at(run, t, T))
             image_ms = cpu_ms(lambda run=run, k=k: studio.image(run, k))
             scan_ms = cpu_ms(lambda run=run, k=k: studio.points(run, k))
-            timestamp, seen = studio.observe(run, k)
+            _, seen = studio.observe(run, k)
             files_ms = cpu_ms(
-                lambda run=run, t=timestamp, seen=seen: write_observation(folder, run, t, seen)
+                lambda run=run, t=t, seen=seen: write_observation(folder, run, t, seen)
             )
-            cost.append((image_ms, scan_ms, files_ms))
-    image, cloud, files = np.mean(cost, axis=0)
-    h, w = studio.profile.camera.size
-    lidar, target = studio.profile.lidar, TARGET_MS[profile]
+            cost.append((moving_ms, image_ms, scan_ms, files_ms))
+    moved, image, cloud, files = np.mean(cost, axis=0)
+    h, w = studio.camera.size
+    lidar, target = studio.lidar, TARGET_MS[profile]
     return (
-        f"| {profile} | {h}x{w} + {lidar.beams}x{lidar.steps} | {len(studio.world.soup.corners):,} "
-        f"| {world_ms:,.0f} | {image:.1f} | {cloud:.1f} | {files:.1f} | {image + cloud:.1f} "
-        f"| {'' if target is None else target} | {places} |"
+        f"| {profile}{'' if moving else ', nothing moves'} | {h}x{w} + {lidar.beams}x{lidar.steps} "
+        f"| {len(studio.world.soup.corners):,} | {world_ms:,.0f} | {moved:.1f} | {image:.1f} "
+        f"| {cloud:.1f} | {files:.1f} | {image + cloud:.1f} | {'' if target is None else target} "
+        f"| {places} |"
     )
 
 
 def throughput(profile: str, places: int, folder: Path) -> str:
-    """Frames a second through two processes."""
+    """Pairs of image and scan a second through two processes."""
     start = time.perf_counter()
     dataset = simulate(folder / profile, seed=SEED, runs=RUNS, profile=profile, places=places,
                        workers=2)  # fmt: skip
@@ -87,7 +98,11 @@ def main() -> None:
     before = os.getloadavg()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        costs = [measure(profile, options.frames, folder / "files") for profile in PROFILES]
+        costs = [
+            measure(profile, options.frames, folder / "files", moving=moving)
+            for profile in PROFILES
+            for moving in (True, False)
+        ]
         rates = [throughput(profile, options.places, folder) for profile in PROFILES]
     after = os.getloadavg()
     own, children = (
@@ -102,16 +117,17 @@ def main() -> None:
         f"{before[0]:.1f} at the start, {after[0]:.1f} at the end.",
         f"Peak memory: {own:,.0f} MB this process, {children:,.0f} MB the largest worker.",
         "",
-        f"Mean CPU-ms a frame, one thread, {options.frames} frames of {', '.join(RUNS)}:",
+        f"Mean CPU-ms a frame, one thread, {options.frames} frames of {', '.join(RUNS)}; image and "
+        "scan each hold the moving objects, the column beside them says how much that is:",
         "",
-        "| profile | image + beams | triangles | world | image | scan | files | image + scan "
-        "| target | places a run |",
-        "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| profile | image + beams | triangles | world | moving objects | image | scan | files "
+        "| image + scan | target | places a run |",
+        "|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
         *costs,
         "",
         "Wall time of `simulate` with two processes:",
         "",
-        "| profile | frames | seconds | frames a second |",
+        "| profile | pairs | seconds | pairs a second |",
         "|---|---:|---:|---:|",
         *rates,
     ]

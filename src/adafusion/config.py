@@ -77,6 +77,20 @@ def load_config(cls: type[T], path: str | Path | None = None, overrides: Sequenc
         raise UserError(f"{where}: {error}") from error
 
 
+def change_config(config: T, overrides: Sequence[str]) -> T:
+    """Give a configuration dataclass with some keys changed by `key.sub=value` overrides.
+
+    Raises UserError as `load_config` does.
+    """
+    values = to_plain(config)
+    for override in overrides:
+        _apply(values, override)
+    try:
+        return from_plain(type(config), values)
+    except ValueError as error:
+        raise UserError(f"{' '.join(overrides)}: {error}") from error
+
+
 def from_plain(cls: type[T], values: Mapping[str, Any]) -> T:
     """Build a nest of dataclasses from plain values, as YAML and JSON hold them.
 

@@ -55,6 +55,7 @@ class Frame:
     timestamp_us: int
     position_m: tuple[float, float, float]  # in the dataset's world frame
     T_world_body: Float[np.ndarray, "4 4"] | None = None  # None where only a position is known
+    T_world_ins: Float[np.ndarray, "4 4"] | None = None  # what a GPS/INS unit said, if apart
     image: str | None = None  # file names relative to the dataset's folder
     cloud: str | None = None
     zone: str | None = None  # what kind of place this is, where the source says so

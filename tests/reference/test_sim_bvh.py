@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from adafusion.sim.bvh import Bvh, build_bvh, leaf_is_there, new_stack, trace
+from adafusion.sim.bvh import Bvh, build_bvh, join_bvh, leaf_is_there, new_stack, trace
 from adafusion.sim.shapes import Material, Soup, SoupBuilder, rectangle
 
 
@@ -105,6 +105,23 @@ def check_node(bvh: Bvh, corners: np.ndarray, node: int) -> int:
         assert (bvh.bounds[child, :3] >= lower).all()
         assert (bvh.bounds[child, 3:] <= upper).all()
     return check_node(bvh, corners, first) + check_node(bvh, corners, first + 1)
+
+
+@pytest.mark.parametrize(("first", "second"), [(300, 1), (1, 300), (5, 40), (0, 40), (40, 0)])
+def test_two_trees_joined_find_what_one_over_both_finds(first: int, second: int) -> None:
+    rng = np.random.default_rng(first)
+    corners = triangles(rng, first + second)
+    porous = (rng.random(len(corners)) < 0.3).astype(np.uint8)
+    parts = slice(None, first), slice(first, None)
+    joined = join_bvh(*(build_bvh(corners[part], porous[part]) for part in parts))
+    assert sorted(joined.face.tolist()) == list(range(first + second))
+    assert check_node(joined, corners, 0) == first + second
+    origins, directions = random_rays(rng, 300)
+    found, one = (
+        trace_all(tree, origins, directions, 30.0, False, 0.6)
+        for tree in (joined, build_bvh(corners, porous))
+    )
+    np.testing.assert_array_equal(found, one)
 
 
 def test_it_hits_nothing_in_an_empty_world() -> None:

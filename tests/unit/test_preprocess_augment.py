@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from adafusion.preprocess.augment import color_jitter, jitter_points
+from adafusion.preprocess.augment import blank_sensors, color_jitter, jitter_points
 
 
 def pictures(n: int = 4) -> torch.Tensor:
@@ -94,3 +94,15 @@ def test_colours_stay_in_range_at_full_strength() -> None:
 def test_refuses_a_strength_that_would_turn_colours_over(strength: float) -> None:
     with pytest.raises(ValueError, match=r"\[0, 1\]"):
         color_jitter(pictures(), seeded(), contrast=strength)
+
+
+def test_blanking_takes_one_sensor_from_its_share_of_frames() -> None:
+    images, voxels = torch.ones(4000, 3, 2, 2), torch.ones(4000, 1, 2, 2, 2)
+    blank_sensors(images, voxels, 0.3, np.random.default_rng(0))
+    no_image = (images == -1.0).flatten(1).all(dim=1)
+    no_cloud = (voxels == 0.0).flatten(1).all(dim=1)
+    assert not (no_image & no_cloud).any()
+    assert float(no_image.float().mean()) == pytest.approx(0.15, abs=0.02)
+    assert float(no_cloud.float().mean()) == pytest.approx(0.15, abs=0.02)
+    assert (images[~no_image] == 1.0).all()
+    assert (voxels[~no_cloud] == 1.0).all()

@@ -13,7 +13,7 @@ import sys
 
 import typer
 
-from adafusion.cli import data, demo, evaluation, mapping, model, training
+from adafusion.cli import data, demo, evaluation, mapping, model, training, world
 
 app = typer.Typer(
     name="adafusion",
@@ -31,6 +31,7 @@ app.command("evaluate")(evaluation.evaluate)
 app.add_typer(mapping.app, name="map")
 app.command("locate")(mapping.locate)
 app.command("import-released")(model.import_released)
+app.add_typer(world.app, name="world")
 app.add_typer(model.config_app, name="config")
 
 

@@ -40,6 +40,27 @@ def cache_folder(given: Path | None) -> Path:
     return Path(named) if named else Path.home() / ".cache" / "adafusion"
 
 
+def open_data(path: Path, cache: Path | None = None) -> Dataset:
+    """Open a dataset by its folder, or a named synthetic world: "world-v1-small/test".
+
+    A named world is rendered into the cache when it is first asked for. A folder that is there
+    wins over a name.
+    """
+    from adafusion.datasets import open_dataset
+
+    if path.exists():
+        return open_dataset(path)
+    from adafusion.sim.benchmarks import BENCHMARKS, names, open_benchmark
+
+    name = path.as_posix()
+    if name.partition("/")[0] not in BENCHMARKS:
+        return open_dataset(path)  # which says what is missing
+    if name in BENCHMARKS:
+        parts = [known for known in names() if known.startswith(f"{name}/")]
+        raise UserError(f"{name} has parts: choose from {', '.join(parts)}")
+    return open_benchmark(name, cache_folder(cache), workers=os.cpu_count() or 1, progress=bar)
+
+
 def choose_frames(dataset: Dataset, runs: str | None = None, frames: str = "::") -> list[Frame]:
     """Frames of the runs named (by comma; None: all), of each run those that a slice keeps.
 

@@ -4,20 +4,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from adafusion.cli.common import bar, split_names
+from adafusion.types import UserError
+
+if TYPE_CHECKING:
+    from adafusion.sim.conditions import Conditions
 
 
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder of the new dataset; must not exist.")],
     seed: Annotated[int, typer.Option(help="Which world: another seed, another city.")] = 1,
-    runs: Annotated[
-        str, typer.Option(help="Conditions to drive in, by comma; a name may come twice.")
-    ] = "day,night",
+    runs: Annotated[str, typer.Option(help="Conditions to drive in, by comma.")] = "day,night",
     profile: Annotated[
         str, typer.Option(help="tiny, small or full: image size, beams, frames a run.")
     ] = "small",
@@ -26,24 +29,37 @@ def simulate(
     ] = None,
     regions: Annotated[
         str,
-        typer.Option(help="split (training, validation and test apart), all-train or all-test."),
+        typer.Option(
+            help="split (training, validation and test apart), teach (no test), all-train or "
+            "all-test."
+        ),
     ] = "split",
+    change: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", help="Change a factor of all runs, foliage=0.2, or of one, night.rain_mm_h=5."
+        ),
+    ] = None,
     workers: Annotated[int, typer.Option(help="Processes that render.", min=1)] = 2,
 ) -> None:
-    """Drive through the synthetic world and record camera, LiDAR and true pose.
+    """Drive through the synthetic world and record camera, LiDAR, true pose and a GPS/INS pose.
 
+    A run is named after a preset (day, overcast, dusk, night, fog, rain, snow, glare, winter,
+    autumn), `-reverse` where it drives the other way, and a number where it is a repeat: day,
+    night-reverse, day-2. `adafusion config show night` lists the factors of a preset.
     The dataset says `synthetic: true` and is never to be taken for real data. A killed simulation
     goes on where it was when the same command is given again.
 
     \b
-    Example: adafusion simulate data/world-7 --seed 7 --runs day,dusk,night,fog --profile small
+    Example: adafusion simulate data/world-7 --seed 7 --runs day,dusk,night-reverse,fog
+    Example: adafusion simulate data/haze --runs day,day-2 --set day-2.fog_per_m=0.02
     """
     from adafusion.sim.simulate import simulate as run
 
     dataset = run(
         out,
         seed=seed,
-        runs=split_names(runs),
+        runs=_changed_runs(seed, split_names(runs), change or []),
         profile=profile,
         places=places,
         regions=regions,
@@ -51,6 +67,25 @@ def simulate(
         progress=bar,
     )
     print(f"{out}: {len(dataset.frames)} frames in {len(dataset.runs)} runs (synthetic)")
+
+
+def _changed_runs(
+    seed: int, runs: Sequence[str], changes: Sequence[str]
+) -> Sequence[str] | dict[str, Conditions]:
+    """The conditions of runs with some factors changed, of all of them or of one by its name."""
+    from adafusion.config import change_config
+    from adafusion.sim.studio import conditions_of
+
+    if not changes:
+        return runs
+    own: dict[str, list[str]] = {run: [] for run in runs}
+    for change in changes:
+        run, dot, _ = change.partition("=")[0].partition(".")
+        if dot and run not in own:
+            raise UserError(f"--set {change}: no run {run!r}; choose from {', '.join(runs)}")
+        for name in [run] if dot else runs:
+            own[name].append(change.removeprefix(f"{run}.") if dot else change)
+    return {run: change_config(conditions_of(seed, run), own[run]) for run in runs}
 
 
 def prepare(
@@ -67,7 +102,6 @@ def prepare(
     Example: adafusion prepare kitti-odometry ~/kitti/dataset data/kitti-04 --sequences 04
     """
     from adafusion.datasets import READERS
-    from adafusion.types import UserError
 
     if kind not in READERS:
         raise UserError(f"unknown format {kind!r}: choose from {', '.join(READERS)}")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from adafusion.cli.common import bar, cache_folder, say, split_names
+from adafusion.cli.common import bar, cache_folder, open_data, say, split_names
 
 if TYPE_CHECKING:
     from adafusion.datasets import Dataset
@@ -42,7 +42,7 @@ class EvaluateConfig:
 
 
 def evaluate(
-    dataset: Annotated[Path, typer.Argument(help="A dataset in the package's own form.")],
+    dataset: Annotated[Path, typer.Argument(help="A dataset, or world-v1-small/test.")],
     out: Annotated[Path, typer.Argument(help="Folder for the result, its settings and report.")],
     model: Annotated[
         list[str] | None,
@@ -74,11 +74,10 @@ def evaluate(
     Example: adafusion evaluate data/world-7 results/w7 --model adafusion-s --model image-s
     Example: adafusion evaluate data/nclt results/nclt --model mine.safetensors --protocol union
     """
-    from adafusion.datasets import open_dataset
     from adafusion.evaluation import dataset_splits, judge
     from adafusion.models import load_model
 
-    opened = open_dataset(dataset)
+    opened = open_data(dataset, cache)
     chosen = None if runs is None else split_names(runs)
     splits = dataset_splits(opened, protocol, region=region, runs=chosen, radius_m=radius_m)
     config = EvaluateConfig(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from adafusion.cli.common import bar, choose_frames, say
+from adafusion.cli.common import bar, choose_frames, open_data, say
 
 if TYPE_CHECKING:
     import numpy as np
@@ -42,12 +42,11 @@ def build(
     \b
     Example: adafusion map build data/world-7 maps/campus.map --runs day
     """
-    from adafusion.datasets import open_dataset
     from adafusion.mapping import require_free
     from adafusion.models import load_model
 
     require_free(out)  # before the work, not after it
-    place_map = _describe(open_dataset(dataset), load_model(model), runs, frames)
+    place_map = _describe(open_data(dataset), load_model(model), runs, frames)
     place_map.save(out)
     print(f"{out}: {len(place_map)} places, fingerprint {place_map.fingerprint}")
 
@@ -65,11 +64,10 @@ def add(
     \b
     Example: adafusion map add data/world-7 maps/campus.map --runs dusk
     """
-    from adafusion.datasets import open_dataset
     from adafusion.mapping import MapHeader, PlaceMap
     from adafusion.models import load_model
 
-    opened, loaded = open_dataset(dataset), load_model(model)
+    opened, loaded = open_data(dataset), load_model(model)
     # what is no map, or not of this model and world, is refused before the work and not after it
     PlaceMap.open(out).header.require(MapHeader.of(loaded, opened), out)
     addition = _describe(opened, loaded, runs, frames)
@@ -175,9 +173,7 @@ def _locate_frames(
     """Locate every chosen frame of a dataset; one line each, then what share was found."""
     import numpy as np
 
-    from adafusion.datasets import open_dataset
-
-    dataset = open_dataset(path)
+    dataset = open_data(path)
     chosen = choose_frames(dataset, runs, frames)
     world = localizer.place_map.header.world
     same_world = world == dataset.world

@@ -37,7 +37,9 @@ def import_released(
 
 @config_app.command("show")
 def show(
-    what: Annotated[str, typer.Argument(help="train, model or preprocess.")] = "train",
+    what: Annotated[
+        str, typer.Argument(help="train, model, preprocess, or a preset of the world: day, night.")
+    ] = "train",
     overrides: Annotated[
         list[str] | None, typer.Argument(help="Changes, as loss.margin=12.5.")
     ] = None,
@@ -47,14 +49,22 @@ def show(
 
     \b
     Example: adafusion config show train --config configs/paper.yaml seed=3 > mine.yaml
+    Example: adafusion config show night fog_per_m=0.02
     """
-    from adafusion.config import dump_config, load_config
+    from adafusion.config import change_config, dump_config, load_config
     from adafusion.models import ModelConfig
     from adafusion.preprocess import Preprocess
+    from adafusion.sim.conditions import PRESETS
     from adafusion.training import TrainConfig
     from adafusion.types import UserError
 
+    if what in PRESETS:
+        if config is not None:
+            raise UserError(f"--config {config}: a preset has no file; change single factors")
+        print(dump_config(change_config(PRESETS[what], overrides or [])), end="")
+        return
     kinds: dict[str, type] = {"train": TrainConfig, "model": ModelConfig, "preprocess": Preprocess}
     if what not in kinds:
-        raise UserError(f"unknown configuration {what!r}: choose from {', '.join(kinds)}")
+        choices = ", ".join([*kinds, *PRESETS])
+        raise UserError(f"unknown configuration {what!r}: choose from {choices}")
     print(dump_config(load_config(kinds[what], config, overrides or [])), end="")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from adafusion.cli.common import bar, cache_folder, say
+from adafusion.cli.common import bar, cache_folder, open_data, say
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,7 +31,10 @@ def train(
     out: Annotated[
         Path, typer.Argument(help="Folder for checkpoints, logs and model.safetensors.")
     ],
-    datasets: Annotated[list[Path], typer.Argument(help="Datasets whose training region teaches.")],
+    datasets: Annotated[
+        list[Path],
+        typer.Argument(help="What teaches: datasets, or world-v1-small/train."),
+    ],
     config: Annotated[Path | None, typer.Option(help="YAML; see `adafusion config show`.")] = None,
     change: Annotated[
         list[str] | None, typer.Option("--set", help="Change a key: --set loss.margin=12.5")
@@ -57,6 +60,7 @@ def train(
     with --resume goes on as if nothing had happened.
 
     \b
+    Example: adafusion train runs/mine world-v1-small/train --config configs/small.yaml
     Example: adafusion train runs/mine data/world-1 data/world-2 --config configs/small.yaml
     Example: adafusion train runs/paper data/nclt --config configs/paper.yaml --accelerator cuda
     """
@@ -123,10 +127,9 @@ class Corpus:
     @classmethod
     def prepare(cls, paths: Sequence[Path], settings: Preprocess, cache: Path) -> Corpus:
         """Open the datasets and preprocess what the cache does not hold yet."""
-        from adafusion.datasets import open_dataset
         from adafusion.preprocess.cache import PreparedSet, prepare_cache
 
-        datasets = tuple(open_dataset(path) for path in paths)
+        datasets = tuple(open_data(path, cache) for path in paths)
         prepared = (prepare_cache(ds, settings, cache, progress=bar) for ds in datasets)
         return cls(datasets, PreparedSet(tuple(prepared)))
 

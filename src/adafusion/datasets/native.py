@@ -15,7 +15,7 @@ from __future__ import annotations
 import errno
 import io
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -27,7 +27,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 
 from adafusion.files import atomic_path, fingerprint, write_text
 from adafusion.geometry import is_rigid
@@ -39,6 +39,7 @@ CONVENTIONS = {
     "body": "x forward, y left, z up; z = 0 is the ground under the vehicle",
     "world": "z up; the same for all runs of the dataset",
     "T_world_body": "4x4, row by row; maps body to world",
+    "T_world_ins": "the same as a GPS/INS unit gave it, where the dataset keeps that apart",
     "image": "RGB, undistorted unless the calibration says otherwise",
     "units": "metres, radians, integer microseconds",
 }
@@ -47,7 +48,7 @@ _SCHEMA = pa.schema(
     [
         pa.field("timestamp_us", pa.int64(), nullable=False),
         *(pa.field(axis, pa.float64(), nullable=False) for axis in "xyz"),
-        pa.field("T_world_body", pa.list_(pa.float64(), 16)),
+        *(pa.field(name, pa.list_(pa.float64(), 16)) for name in ("T_world_body", "T_world_ins")),
         *(pa.field(name, pa.string()) for name in ("image", "cloud", "zone")),
     ]
 )
@@ -278,7 +279,12 @@ def _read_run(root: Path, run: str, count: int) -> list[Frame]:
     path = _table(root, run)
     remedy = f"restore it, or prepare {root} again"
     try:
-        table = pq.read_table(path, page_checksum_verification=True).cast(_SCHEMA)
+        table = pq.read_table(path, page_checksum_verification=True)
+        if "T_world_ins" not in table.column_names:  # datasets written before it was kept
+            at = _SCHEMA.get_field_index("T_world_ins")
+            nothing = pa.nulls(len(table), _SCHEMA.field(at).type)
+            table = table.add_column(at, _SCHEMA.field(at), nothing)
+        table = table.cast(_SCHEMA)
         images, clouds, zones = (table[name].to_pylist() for name in ("image", "cloud", "zone"))
     except FileNotFoundError:
         raise UserError(f"{path} is missing: {remedy}") from None
@@ -288,20 +294,18 @@ def _read_run(root: Path, run: str, count: int) -> list[Frame]:
         raise UserError(f"{path} holds {len(table)} frames, dataset.yaml says {count}: {remedy}")
     timestamps = table["timestamp_us"].to_numpy()
     positions = np.column_stack([table[axis].to_numpy() for axis in "xyz"])
-    known = table["T_world_body"].combine_chunks().is_valid().to_numpy(zero_copy_only=False)
-    poses = np.zeros((count, 4, 4))
-    poses[known] = (
-        table["T_world_body"].combine_chunks().drop_null().flatten().to_numpy().reshape(-1, 4, 4)
-    )
+    known, poses = _poses(table, "T_world_body")
+    has_ins, ins = _poses(table, "T_world_ins")
     if (np.diff(timestamps) <= 0).any():
         raise UserError(f"{path}: timestamps repeat or do not rise: {remedy}")
     if not np.isfinite(positions).all():
         raise UserError(f"{path}: a position is not finite: {remedy}")
-    if not is_rigid(poses[known]):
-        bad = next(
-            t for t, T in zip(timestamps[known], poses[known], strict=True) if not is_rigid(T)
-        )
-        raise UserError(f"{path}: T_world_body of frame {bad} is no rigid motion: {remedy}")
+    for name, there, T in (("T_world_body", known, poses), ("T_world_ins", has_ins, ins)):
+        if not is_rigid(T[there]):
+            bad = next(
+                t for t, one in zip(timestamps[there], T[there], strict=True) if not is_rigid(one)
+            )
+            raise UserError(f"{path}: {name} of frame {bad} is no rigid motion: {remedy}")
     if not np.allclose(poses[known, :3, 3], positions[known], atol=1e-3):
         raise UserError(f"{path}: positions and poses disagree: {remedy}")
     for name in (*images, *clouds):
@@ -313,12 +317,22 @@ def _read_run(root: Path, run: str, count: int) -> list[Frame]:
             timestamp_us=int(timestamps[row]),
             position_m=tuple(positions[row].tolist()),
             T_world_body=poses[row] if known[row] else None,
+            T_world_ins=ins[row] if has_ins[row] else None,
             image=images[row],
             cloud=clouds[row],
             zone=zones[row],
         )
         for row in range(count)
     ]
+
+
+def _poses(table: pa.Table, name: str) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, "n 4 4"]]:
+    """Which rows have a pose in this column, and the poses (zero where there is none)."""
+    column = table[name].combine_chunks()
+    known = column.is_valid().to_numpy(zero_copy_only=False)
+    poses = np.zeros((len(table), 4, 4))
+    poses[known] = column.drop_null().flatten().to_numpy().reshape(-1, 4, 4)
+    return known, poses
 
 
 # ---------------------------------------------------------------------------------------- writing
@@ -428,7 +442,7 @@ class DatasetWriter:
 
     def add(self, frame: Frame, observation: Observation, image_suffix: str = ".png") -> Frame:
         """Write `observation` and record `frame`; return the frame with its file names."""
-        _check_run_name(frame.run)
+        check_run_name(frame.run)
         image, cloud = write_observation(
             self.folder, frame.run, frame.timestamp_us, observation, image_suffix
         )
@@ -438,7 +452,7 @@ class DatasetWriter:
 
     def add_written(self, frame: Frame) -> None:
         """Record a frame whose files lie in `folder` already, under the names that it gives."""
-        _check_run_name(frame.run)
+        check_run_name(frame.run)
         if frame.key in self._frames:
             raise ValueError(f"frame {frame.key} is written twice")
         for name in (frame.image, frame.cloud):
@@ -494,7 +508,8 @@ def _cannot_write(folder: Path, error: OSError) -> UserError:
     )
 
 
-def _check_run_name(run: str) -> None:
+def check_run_name(run: str) -> None:
+    """UserError where a run's name cannot name a folder of its own."""
     if not run or run.startswith(".") or Path(run).name != run or "\\" in run:
         raise UserError(f"run name {run!r} cannot name a folder: use letters, digits, - and _")
 
@@ -511,12 +526,16 @@ def _to_yaml(info: DatasetInfo, counts: dict[str, int] | None = None) -> str:
 
 
 def _to_table(frames: Sequence[Frame]) -> pa.Table:
-    poses = [None if f.T_world_body is None else f.T_world_body.ravel().tolist() for f in frames]
+
+    def column(poses: Iterable[Float[np.ndarray, "4 4"] | None]) -> list[list[float] | None]:
+        return [None if T is None else T.ravel().tolist() for T in poses]
+
     return pa.table(
         {
             "timestamp_us": [f.timestamp_us for f in frames],
             **{axis: [f.position_m[i] for f in frames] for i, axis in enumerate("xyz")},
-            "T_world_body": poses,
+            "T_world_body": column(f.T_world_body for f in frames),
+            "T_world_ins": column(f.T_world_ins for f in frames),
             "image": [f.image for f in frames],
             "cloud": [f.cloud for f in frames],
             "zone": [f.zone for f in frames],

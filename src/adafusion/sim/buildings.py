@@ -6,16 +6,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
 
 from adafusion.sim.numeric import keyed_seed
-from adafusion.sim.plan import WALK_HALF_M, Plan, Rect, along, leftward, overlaps, point_on
+from adafusion.sim.plan import (
+    WALK_HALF_M,
+    Plan,
+    Rect,
+    Street,
+    along,
+    leftward,
+    overlaps,
+    point_on,
+)
 from adafusion.sim.shapes import Material, Rgb, SoupBuilder, rectangle
 
 PLINTH_M = 0.35
+_BAY_M, _PORCH_M, _WING_M, _BALCONY_M, _AWNING_M = 0.8, 1.4, 2.6, 1.6, 1.8  # reach of a front
 BELOW_M = -1.2  # walls go into the ground: streets slope
 
 
@@ -147,7 +157,7 @@ ROOF_TINTS: tuple[Rgb, ...] = (
 
 def line_with_buildings(plan: Plan) -> None:
     """Walk along both sides of every street and set buildings where there is room."""
-    names = sorted(BUILDING_TYPES)
+    names, taken = sorted(BUILDING_TYPES), np.array(plan.taken)
     for e, street in enumerate(plan.streets):
         if street.kind != "street":
             continue
@@ -160,23 +170,52 @@ def line_with_buildings(plan: Plan) -> None:
                 draw = plan.rng("street", e, side, "building", slot)
                 slot += 1
                 kind = BUILDING_TYPES[names[palette[draw.choice(3, p=(0.55, 0.3, 0.15))]]]
-                width = min(float(draw.uniform(*kind.width_m)), length - 9.0 - s)
-                if width < kind.width_m[0] * 0.75:
-                    s += 4.0
-                    continue
-                depth = float(draw.uniform(*kind.depth_m))
+                kind = replace(  # no two of a type are quite the same
+                    kind,
+                    cell_m=kind.cell_m * float(draw.uniform(0.92, 1.12)),
+                    floor_m=kind.floor_m * float(draw.uniform(0.95, 1.07)),
+                )
+                width, depth = (float(draw.uniform(*r)) for r in (kind.width_m, kind.depth_m))
                 setback = kind.setback_m * float(draw.uniform(0.7, 1.3))
-                xy, yaw = point_on(street.line, s + width / 2)
-                out = WALK_HALF_M + 0.3 + setback + depth / 2
-                x, y = (xy + side * leftward(yaw) * out).tolist()
-                facing = yaw if side < 0 else yaw + math.pi  # the front looks at the street
-                rect = (x, y, facing, width / 2 - 0.05, depth / 2)
-                if overlaps(rect, plan.taken) or overlaps(rect, plan.solid):
-                    s += 4.0
-                    continue
-                plan.solid.append(rect)
-                _add_building(plan, kind, draw, rect, setback, f"{e}/{side}/{slot}")
-                s += width + float(draw.uniform(*kind.gap_m))
+                smallest = kind.width_m[0] * 0.8, kind.depth_m[0] * 0.9
+                for size in ((min(width, length - 9.0 - s), depth), smallest):
+                    rect = _lot(street, side, s, size, setback)
+                    low, aloft = (_with_front(rect, reach) for reach in _reach(kind, setback))
+                    fits = not overlaps(rect, taken) and not overlaps(low, plan.solid)
+                    if size[0] >= smallest[0] and fits:
+                        plan.solid.append(low)
+                        plan.aloft.append(aloft)
+                        _add_building(plan, kind, draw, rect, setback, f"{e}/{side}/{slot}")
+                        s += size[0] + float(draw.uniform(*kind.gap_m))
+                        break
+                else:
+                    s += 3.0
+
+
+def _lot(street: Street, side: int, s: float, size: tuple[float, float], setback: float) -> Rect:
+    """The ground of a building, `size` (wide, deep), from s on along a street that it looks at."""
+    width, depth = size
+    xy, yaw = point_on(street.line, s + width / 2)
+    out = WALK_HALF_M + 0.3 + setback + depth / 2
+    x, y = (xy + side * leftward(yaw) * out).tolist()
+    facing = yaw if side < 0 else yaw + math.pi
+    return x, y, facing, width / 2 - 0.05, depth / 2
+
+
+def _reach(kind: BuildingType, setback: float) -> tuple[float, float]:
+    """How far what may stand out of a front reaches, on the ground and above heads."""
+    wing = max(min(_WING_M, setback - 0.3), 0.4)
+    reach = {"bay": _BAY_M, "wing": wing, "porch": _PORCH_M}
+    low = max(reach.get(extra, 0.0) for extra in (*kind.extras, ""))
+    reach = {"balcony": _BALCONY_M, "awning": _AWNING_M}
+    return low, max(low, *(reach.get(extra, 0.0) for extra in (*kind.extras, "")))
+
+
+def _with_front(rect: Rect, reach: float) -> Rect:
+    """The ground of a building and of what stands out of its front by `reach`."""
+    x, y, yaw, half_w, half_d = rect
+    x, y = (np.array([x, y]) + leftward(yaw) * reach / 2).tolist()
+    return x, y, yaw, half_w, half_d + reach / 2
 
 
 def _add_building(
@@ -320,10 +359,10 @@ def _add_front(house: _House, rng: np.random.Generator, setback: float) -> None:
         top = PLINTH_M + kind.floor_m * int(rng.integers(1, storeys + 1))
         for k in range(int(rng.integers(step)), cells, step):
             x = -half_w + k * cell + 0.15
-            house.box(x, x + cell - 0.3, -0.8, 0.0, BELOW_M, top, facade, house.walls)
+            house.box(x, x + cell - 0.3, -_BAY_M, 0.0, BELOW_M, top, facade, house.walls)
     if "balcony" in kind.extras and rng.random() < 0.8:
         step, first = int(rng.integers(2, 4)), int(rng.integers(3))
-        reach = float(rng.uniform(0.9, 1.6))
+        reach = float(rng.uniform(0.9, _BALCONY_M))
         for k in range(first, cells, step):
             a = -half_w + k * cell + 0.1
             b = min(a + cell - 0.2, half_w - 0.1)
@@ -333,19 +372,19 @@ def _add_front(house: _House, rng: np.random.Generator, setback: float) -> None:
                 rail = [(a, -reach, z), (b, -reach, z), (b, -reach, z + 1.0), (a, -reach, z + 1.0)]
                 house.sheet(rail, plain, trim)
     if "awning" in kind.extras and rng.random() < 0.8:
-        z, reach = PLINTH_M + kind.floor_m - 0.45, float(rng.uniform(1.0, 1.8))
+        z, reach = PLINTH_M + kind.floor_m - 0.45, float(rng.uniform(1.0, _AWNING_M))
         a, b = -half_w + 0.4, half_w - 0.4
         cloth = [(a, -reach, z - 0.7), (b, -reach, z - 0.7), (b, 0.0, z), (a, 0.0, z)]
         house.sheet(cloth, plain, trim)
     if "wing" in kind.extras:  # one end stands forward
         wing = float(rng.uniform(0.25, 0.45)) * 2 * half_w
         x = -half_w if rng.random() < 0.5 else half_w - wing
-        reach = min(float(rng.uniform(1.2, 2.6)), max(setback - 0.3, 0.4))
+        reach = min(float(rng.uniform(1.2, _WING_M)), max(setback - 0.3, 0.4))
         top = height - kind.floor_m * int(rng.integers(0, 2))
         house.box(x, x + wing, -reach, 0.0, BELOW_M, top, facade, house.walls)
     if "porch" in kind.extras:
         x = float(rng.uniform(-half_w + 1.0, half_w - 3.0))
-        house.box(x, x + 2.2, -1.4, 0.0, 2.45, 2.65, plain, trim)
+        house.box(x, x + 2.2, -_PORCH_M, 0.0, 2.45, 2.65, plain, trim)
         for post in (x + 0.1, x + 2.0):
             house.box(post, post + 0.12, -1.3, -1.18, BELOW_M, 2.45, plain, trim)
 

@@ -52,6 +52,34 @@ def build_bvh(corners: Float32[np.ndarray, "n 3 3"], porous: UInt8[np.ndarray, "
     return Bvh(bounds[:nodes].copy(), link[:nodes].copy(), triangle, order, porous[order])
 
 
+def join_bvh(a: Bvh, b: Bvh) -> Bvh:
+    """One tree over the triangles of both; the faces of `b` are numbered after those of `a`.
+
+    A root over two roots: one descent finds the nearest of both, and nothing is sorted anew.
+    """
+    face = np.concatenate([a.face, b.face + np.int32(len(a.face))])
+    if len(a.face) == 0 or len(b.face) == 0:
+        return (b if len(a.face) == 0 else a)._replace(face=face)
+    # nodes: the new root, the roots of a and b side by side, the rest of a, the rest of b
+    root = np.concatenate(
+        [np.minimum(a.bounds[0, :3], b.bounds[0, :3]), np.maximum(a.bounds[0, 3:], b.bounds[0, 3:])]
+    )
+    bounds = np.concatenate([root[None], a.bounds[:1], b.bounds[:1], a.bounds[1:], b.bounds[1:]])
+    links = []
+    for tree, nodes, triangles in ((a, 2, 0), (b, 1 + len(a.link), len(a.face))):
+        link = tree.link.copy()
+        link[:, 0] += np.where(link[:, 1] > 0, triangles, nodes).astype(np.int32)
+        links.append(link)
+    top = np.array([[1, 0]], np.int32)
+    return Bvh(
+        bounds,
+        np.concatenate([top, links[0][:1], links[1][:1], links[0][1:], links[1][1:]]),
+        np.concatenate([a.triangle, b.triangle]),
+        face,
+        np.concatenate([a.porous, b.porous]),
+    )
+
+
 @kernel
 def _split(
     lower: Float32[np.ndarray, "n 3"],

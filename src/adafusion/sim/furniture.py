@@ -10,7 +10,17 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float64
 
-from adafusion.sim.plan import KERB_M, ROAD_HALF_M, Plan, Street, along, forward, leftward, point_on
+from adafusion.sim.plan import (
+    INDOORS,
+    KERB_M,
+    ROAD_HALF_M,
+    Plan,
+    Street,
+    along,
+    forward,
+    leftward,
+    point_on,
+)
 from adafusion.sim.planting import plant_street
 from adafusion.sim.shapes import Material, Point, disc, rectangle
 
@@ -20,10 +30,12 @@ Xy = Float64[np.ndarray, " 2"]
 def furnish_streets(plan: Plan) -> None:
     """Lamps and trees along streets and paths, small things along streets."""
     for e, street in enumerate(plan.streets):
-        if street.kind == "corridor":
+        if street.kind in INDOORS:
             continue
         edge = ROAD_HALF_M + 0.75 if street.kind == "street" else 2.6
         _light_street(plan, e, street, edge)
+        if e in plan.walled:  # nothing but lamps: blank walls are to look alike
+            continue
         plant_street(plan, e, street, edge)
         if street.kind == "street":
             _place_things(plan, e, street)
@@ -61,7 +73,7 @@ def _light_street(plan: Plan, e: int, street: Street, edge: float) -> None:
             soup.cap(shade, top, Material.LAMP, glow)
             plan.lamps.append((*head.tolist(), top - 0.1, *power.tolist(), -1.0, 0.0))
         side = -side
-        s += pitch * float(rng.uniform(0.9, 1.1))
+        s += pitch if e in plan.walled else pitch * float(rng.uniform(0.9, 1.1))
 
 
 def _add_pole(plan: Plan, xy: Point, z: float, height: float, radius: float, owner: int) -> None:

@@ -19,6 +19,9 @@ WALK_HALF_M = 8.8  # road and pavements
 PATH_HALF_M = 1.7
 KERB_M = 0.12
 
+Rect = tuple[float, float, float, float, float]  # x, y, yaw, half length, half width
+Rects = Sequence[Rect] | Float64[np.ndarray, "n 5"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class WorldSpec:
@@ -28,18 +31,22 @@ class WorldSpec:
     columns: int = 5  # street crossings from west to east ...
     rows: int = 5  # ... and from south to north
     spacing_m: float = 84.0
-    corridors: int = 2
+    corridors: int = 4  # identical passages, told apart by flat paint alone ...
     corridor_m: float = 140.0
+    halls: int = 2
+    tunnels: int = 2
+    blank_walls: int = 2  # streets between two blank walls
 
     def __post_init__(self) -> None:
         if self.columns < 2 or self.rows < 3:
             raise ValueError(f"{self.columns} x {self.rows} crossings are no town: 2 x 3 at least")
-        if self.spacing_m < 55.0:
-            raise ValueError(f"spacing_m = {self.spacing_m}: blocks need 55 m for houses or parks")
-        if not 0 <= self.corridors <= 2:
-            raise ValueError(f"corridors = {self.corridors}: west and east have room for one each")
-        if self.corridor_m < 20.0:
-            raise ValueError(f"corridor_m = {self.corridor_m} is a door, not a corridor")
+        if not 55.0 <= self.spacing_m <= 200.0:
+            raise ValueError(f"spacing_m = {self.spacing_m}: blocks are 55 to 200 m wide")
+        for name, most in (("corridors", 4), ("halls", 2), ("tunnels", 2), ("blank_walls", 2)):
+            if not 0 <= getattr(self, name) <= most:
+                raise ValueError(f"{name} = {getattr(self, name)}: there is room for 0 to {most}")
+        if not 20.0 <= self.corridor_m <= 300.0:
+            raise ValueError(f"corridor_m = {self.corridor_m}: corridors are 20 to 300 m long")
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,7 @@ class Zone:
 
     lower: tuple[float, float, float]
     upper: tuple[float, float, float]
-    kind: str  # "park", "corridor"
+    kind: str  # "corridor", "hall", "tunnel", "blank wall", "park"
     indoor: bool
     light: float  # ambient radiance inside, where indoor: lamps bounced off the walls
 
@@ -66,12 +73,42 @@ class Street:
 
     ends: tuple[int, int]  # nodes
     line: Float64[np.ndarray, "n 2"]  # middle line from the first node to the second, metres
-    kind: str  # "street", "path" (no cars), "corridor"
+    kind: str  # "street", "path" (no cars), or one of INDOORS
+
+
+INDOORS = ("corridor", "hall", "tunnel")
+_GRAIN = 1024.0  # a metre in steps that a float holds exactly, up to 8 km from the origin
+
+
+@dataclass(frozen=True)
+class Passage:
+    """A building to drive through. Its frame: x along the way, y to the left, z up, from the floor.
+
+    It stands at whole metres and turned by quarters, and its corners lie on a grid of 1/1024 m: so
+    the corners of two passages of a kind are equal to the last bit, each seen from its own frame.
+    """
+
+    kind: str
+    x: int  # middle of the floor in the world, metres
+    y: int
+    quarter: int  # turns to the left by 90 degrees
+    length_m: float
+
+    def place(self, points: Float[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+        """Map points of its own frame to the world."""
+        c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[self.quarter]
+        x, y, z = np.moveaxis(np.round(points * _GRAIN) / _GRAIN, -1, 0)
+        return np.stack([self.x + c * x - s * y, self.y + s * x + c * y, z], axis=-1)
+
+    def rect(self, beyond_m: float, half_width_m: float) -> Rect:
+        """The ground from `beyond_m` before one door to as much behind the other."""
+        yaw = self.quarter * math.pi / 2
+        return float(self.x), float(self.y), yaw, self.length_m / 2 + beyond_m, half_width_m
 
 
 @dataclass(frozen=True, eq=False)
 class Hills:
-    """Height of the ground: a few long waves, level around corridors."""
+    """Height of the ground: a few long waves, level around passages."""
 
     waves: Float64[np.ndarray, "k 4"]  # amplitude, wave vector x and y, phase
     level: tuple[Zone, ...]
@@ -92,9 +129,6 @@ class Hills:
         return float(self(np.array([[xy[0], xy[1]]]))[0])
 
 
-Rect = tuple[float, float, float, float, float]  # x, y, yaw, half length, half width
-
-
 @dataclass
 class Plan:
     """What is built so far."""
@@ -105,8 +139,13 @@ class Plan:
     streets: list[Street] = field(default_factory=list)
     zones: list[Zone] = field(default_factory=list)
     lamps: list[tuple[float, ...]] = field(default_factory=list)  # as in `World.lamps`
-    taken: list[Rect] = field(default_factory=list)  # ways and parks: no building may enter
-    solid: list[Rect] = field(default_factory=list)  # buildings: nothing may enter
+    passages: list[Passage] = field(default_factory=list)  # the first zones are their insides
+    taken: list[Rect] = field(default_factory=list)  # ways, parks, gardens: no building may enter
+    solid: list[Rect] = field(default_factory=list)  # buildings, passages: nothing may enter
+    aloft: list[Rect] = field(default_factory=list)  # balconies and awnings: no crown may enter
+    walled: set[int] = field(default_factory=set)  # numbers of the streets between blank walls
+    # points along roads and paths: x, y, half the width, number of the street
+    ways: Float64[np.ndarray, "n 4"] = field(default_factory=lambda: np.zeros((0, 4)))
     hills: Hills = field(default_factory=lambda: Hills(np.zeros((0, 4)), ()))
 
     def rng(self, *key: int | str) -> np.random.Generator:
@@ -114,26 +153,57 @@ class Plan:
         return keyed_rng(self.spec.seed, *key)
 
     def blocked(self, xy: Point, radius: float) -> bool:
-        """Whether a disc would touch a building."""
-        return overlaps((float(xy[0]), float(xy[1]), 0.0, radius, radius), self.solid)
+        """Whether a disc on the ground would touch something solid."""
+        return touches(xy, radius, self.solid)
 
     def on_road(self, xy: Point, own: int, clearance: float) -> bool:
         """Whether a point is on a path or a road, other than street number `own`."""
-        for index, street in enumerate(self.streets):
-            if index == own or street.kind == "corridor":
-                continue
-            half = ROAD_HALF_M if street.kind == "street" else PATH_HALF_M
-            if np.hypot(*(street.line - np.asarray(xy)).T).min() < half + clearance + 1.0:
-                return True
-        return False
+        x, y, half, number = self.ways.T
+        near = np.hypot(x - float(xy[0]), y - float(xy[1])) < half + (clearance + 1.0)
+        return bool((near & (number != own)).any())
+
+    def clear_run(
+        self, number: int, laterals: Sequence[float], clearance: float, *, paths: bool
+    ) -> tuple[float, float]:
+        """From where to where, in whole metres along a street, its borders meet no other way.
+
+        Borders are lines at those `laterals`; they keep `clearance` from the edges of other roads
+        and, with `paths`, of footpaths. The part is the one with the middle of the street in it.
+        """
+        line = self.streets[number].line
+        s = np.arange(0.0, along(line)[-1])
+        way = resampled(line, s)
+        low, high = way.min(axis=0) - 25.0, way.max(axis=0) + 25.0
+        x, y, half, owner = self.ways.T
+        near = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1]) & (owner != number)
+        others = self.ways[near & (half >= (0.0 if paths else ROAD_HALF_M))]
+        taken = np.zeros(len(s), bool)
+        for lateral in laterals:
+            apart = offset_line(way, lateral)[:, None] - others[:, :2]
+            taken |= (np.hypot(*apart.transpose(2, 0, 1)) < others[:, 2] + clearance).any(axis=1)
+        stops = np.flatnonzero(taken)
+        k = int(np.searchsorted(stops, len(s) // 2))
+        first = stops[k - 1] + 1 if k > 0 else 0
+        last = stops[k] - 1 if k < len(stops) else len(s) - 1
+        return float(first), float(last)
 
 
-def overlaps(rect: Rect, others: Sequence[Rect]) -> bool:
+def touches(xy: Point, radius: float, others: Rects) -> bool:
+    """Whether a disc meets any turned rectangle."""
+    x, y, yaw, half_length, half_width = np.reshape(others, (-1, 5)).T
+    dx, dy = float(xy[0]) - x, float(xy[1]) - y
+    along_x = np.abs(np.cos(yaw) * dx + np.sin(yaw) * dy) - half_length
+    along_y = np.abs(np.cos(yaw) * dy - np.sin(yaw) * dx) - half_width
+    outside = np.hypot(np.maximum(along_x, 0.0), np.maximum(along_y, 0.0))
+    return bool((outside < radius).any())
+
+
+def overlaps(rect: Rect, others: Rects) -> bool:
     """Whether a turned rectangle meets any other (separating axes)."""
-    if not others:
-        return False
-    b = np.array(others)
+    b = np.reshape(others, (-1, 5))
     delta = b[:, :2] - rect[:2]
+    near = np.hypot(*delta.T) < np.hypot(*b[:, 3:].T) + math.hypot(*rect[3:])
+    b, delta = b[near], delta[near]
     yaws = np.stack([np.full(len(b), rect[2]), b[:, 2]])
     reach_a, reach_b = np.array([rect[3], rect[4]]), b[:, 3:5]
     apart = np.zeros(len(b), bool)
@@ -185,6 +255,14 @@ def point_on(line: Float[np.ndarray, "n 2"], s: float) -> tuple[Float64[np.ndarr
     return xy, math.atan2(d[1], d[0])
 
 
+def resampled(
+    line: Float[np.ndarray, "n 2"], s: Float[np.ndarray, " m"]
+) -> Float64[np.ndarray, "m 2"]:
+    """The points at distances s along a line."""
+    way = along(line)
+    return np.column_stack([np.interp(s, way, line[:, 0]), np.interp(s, way, line[:, 1])])
+
+
 def trimmed(
     line: Float[np.ndarray, "n 2"], head: float, tail: float
 ) -> Float64[np.ndarray, "m 2"] | None:
@@ -192,8 +270,8 @@ def trimmed(
     s = along(line)
     if s[-1] <= head + tail + 2.0:
         return None
-    at = np.linspace(head, s[-1] - tail, max(2, math.ceil((s[-1] - head - tail) / 4.0) + 1))
-    return np.column_stack([np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])])
+    pieces = max(1, math.ceil((s[-1] - head - tail) / 4.0))
+    return resampled(line, np.linspace(head, s[-1] - tail, pieces + 1))
 
 
 def forward(yaw: float) -> Float64[np.ndarray, " 2"]:

@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from adafusion.sim.numeric import keyed_rng
-from adafusion.sim.plan import Plan, Street, Zone, along, leftward, point_on
+from adafusion.sim.plan import Plan, Street, Zone, along, leftward, overlaps, point_on, touches
 from adafusion.sim.shapes import Material, Point, SoupBuilder, disc, rectangle, turned
 
+EAVES_M = 0.4  # roofs reach out of their walls
 VARIANTS = 4  # crowns to choose from, of each kind: many trees share one
 LEAF_RGB = (0.085, 0.135, 0.035)
 HEDGE_RGB = (0.07, 0.12, 0.035)
@@ -29,14 +30,14 @@ class TreeKind:
     crown: float  # share of the height
     width: float  # of the crown, over the height
     trunk: float  # share of the crown that the trunk leaves out
-    keep: float  # radius kept clear of walls, over the height
 
 
 TREE_KINDS = (
-    TreeKind("round", crown=0.68, width=0.72, trunk=0.55, keep=0.3),
-    TreeKind("column", crown=0.88, width=0.28, trunk=0.3, keep=0.12),
-    TreeKind("conifer", crown=0.9, width=0.46, trunk=0.3, keep=0.2),
+    TreeKind("round", crown=0.68, width=0.72, trunk=0.55),
+    TreeKind("column", crown=0.88, width=0.28, trunk=0.3),
+    TreeKind("conifer", crown=0.9, width=0.46, trunk=0.3),
 )
+SLENDER = TREE_KINDS[1]
 
 
 @cache
@@ -74,6 +75,12 @@ def _crown(kind: str, variant: int) -> Float[np.ndarray, "k 4 3"]:
     return np.stack(
         [centre - side - up, centre + side - up, centre + side + up, centre - side + up], axis=1
     )
+
+
+def crown_reach(kind: TreeKind, variant: int, height: float) -> float:
+    """Metres from the middle of a trunk to the farthest leaf."""
+    cards = _crown(kind.name, variant)
+    return float(np.hypot(cards[..., 0], cards[..., 1]).max()) * kind.width * height
 
 
 def add_tree(
@@ -118,10 +125,7 @@ def plant_street(plan: Plan, e: int, street: Street, edge: float) -> None:
             off_path = 1.5 if street.kind == "path" else 0.0
             foot = xy + across * (edge + 0.3 + float(own.uniform(0.0, 0.7)) + off_path)
             height = size * float(own.uniform(0.75, 1.2))
-            missing = own.random() <= 0.15
-            if not (
-                missing or plan.on_road(foot, e, 1.2) or plan.blocked(foot, height * kind.keep)
-            ):
+            if own.random() > 0.15 and not plan.on_road(foot, e, 1.2):
                 _grow(plan, foot, kind, height, own, tint)
             s += pitch * float(own.uniform(0.8, 1.25))
 
@@ -134,26 +138,33 @@ def _grow(
     rng: np.random.Generator,
     tint: Float[np.ndarray, " 3"],
 ) -> None:
+    """Plant a tree; where walls are near a smaller or a slender one, or none."""
     variant, yaw = int(rng.integers(VARIANTS)), float(rng.uniform(0, 2 * np.pi))
     own_tint = tint * rng.uniform(0.88, 1.12)
-    add_tree(plan.soup, xy, plan.hills.at(xy), kind, variant, height, yaw, own_tint)
+    around = [*plan.solid, *plan.aloft]
+    for fit, size in ((kind, height), (kind, 0.75 * height), (SLENDER, height)):
+        if not touches(xy, crown_reach(fit, variant, size) + EAVES_M, around):
+            add_tree(plan.soup, xy, plan.hills.at(xy), fit, variant, size, yaw, own_tint)
+            return
 
 
 def choose_parks(plan: Plan) -> None:
     """Make some blocks without a diagonal into parks, spread from west to east."""
     spec, rng = plan.spec, plan.rng("parks")
     nodes = np.array(plan.nodes)
-    streets = [street for street in plan.streets if street.kind == "street"]
     free: list[tuple[float, float, float, float]] = []
     for i in range(spec.columns - 1):
         for j in range(spec.rows - 1):
             south_west, south_east = i * spec.rows + j, (i + 1) * spec.rows + j
             ring = nodes[[south_west, south_east, south_west + 1, south_east + 1]]
-            x0, x1 = ring[[0, 2], 0].max() + 11.0, ring[[1, 3], 0].min() - 11.0
-            y0, y1 = ring[[0, 1], 1].max() + 11.0, ring[[2, 3], 1].min() - 11.0
-            middle = ring.mean(axis=0)
-            if not any(np.hypot(*(street.line - middle).T).min() < 20.0 for street in streets):
-                free.append((float(x0), float(y0), float(x1), float(y1)))
+            x0, x1 = ring[[0, 2], 0].max(), ring[[1, 3], 0].min()
+            y0, y1 = ring[[0, 1], 1].max(), ring[[2, 3], 1].min()
+            x, y = float((x0 + x1) / 2), float((y0 + y1) / 2)
+            for rim in (11.0, 15.0, 19.0, 23.0):  # a curved street leaves less
+                half_x, half_y = float((x1 - x0) / 2) - rim, float((y1 - y0) / 2) - rim
+                if not overlaps((x, y, 0.0, half_x, half_y), plan.taken):
+                    free.append((x - half_x, y - half_y, x + half_x, y + half_y))
+                    break
     free.sort()
     wanted = max(1, len(free) // 6) if free else 0
     picks = {int(len(free) * (k + rng.random()) / (wanted + 1e-9)) for k in range(wanted)}

@@ -9,17 +9,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, UInt8
 
-from adafusion.sim.bvh import Bvh, Stack, build_bvh, trace
+from adafusion.sim.bvh import Bvh, Stack, build_bvh, join_bvh, trace
 from adafusion.sim.numeric import Vector, inlined
-from adafusion.sim.shapes import Material, Soup
+from adafusion.sim.shapes import Material, Soup, SoupBuilder
 from adafusion.sim.world import World
 
 
 class Scene(NamedTuple):
-    """Two trees (static, of the run) over one numbering of faces and objects: static first."""
+    """Two trees over one numbering of faces and objects: the world, what is parked, the traffic."""
 
-    static: Bvh
-    moving: Bvh
+    still: Bvh  # the world and what stands still during a run
+    traffic: Bvh  # what moves, as it is at one moment
     normal: Float32[np.ndarray, "n 3"]  # unit length, either side
     uv: Float32[np.ndarray, "n 6"]
     uv_per_m: Float32[np.ndarray, "n 2"]  # texture units a metre, for anti-aliasing
@@ -31,61 +31,97 @@ class Scene(NamedTuple):
 
 def build_static(world: World) -> Bvh:
     """The tree over what no run changes; build it once a world."""
-    soup = world.soup
-    return build_bvh(soup.corners, (soup.material == Material.LEAF).astype(np.uint8))
+    return _tree(world.soup)
 
 
-def build_scene(world: World, static: Bvh, moving: Soup) -> Scene:
-    """Join the static world and the soup of one run."""
+def build_scene(world: World, static: Bvh, parked: Soup) -> Scene:
+    """Join the static world and what one run finds parked; without traffic, see `with_traffic`."""
     soup = world.soup
-    corners = np.concatenate([soup.corners, moving.corners]).astype(np.float64)
-    uv = np.concatenate([soup.uv, moving.uv])
-    edge = corners[:, 1:] - corners[:, :1]
-    cross = np.cross(edge[:, 0], edge[:, 1])
-    area = np.linalg.norm(cross, axis=1)
+    normal, uv, uv_per_m = (
+        np.concatenate(pair) for pair in zip(_measure(soup), _measure(parked), strict=True)
+    )
     return Scene(
-        static,
-        build_bvh(moving.corners, np.zeros(len(moving.corners), np.uint8)),
-        (cross / area[:, None]).astype(np.float32),
-        uv.reshape(-1, 6),
-        _uv_per_m(edge, uv),
-        np.concatenate([soup.material, moving.material]),
-        np.concatenate([soup.object_id, moving.object_id + len(soup.objects)]).astype(np.int32),
-        np.concatenate([soup.objects, moving.objects]),
+        join_bvh(static, _tree(parked)),
+        _tree(SoupBuilder().build()),
+        normal,
+        uv,
+        uv_per_m,
+        np.concatenate([soup.material, parked.material]),
+        np.concatenate([soup.object_id, parked.object_id + np.int32(len(soup.objects))]),
+        np.concatenate([soup.objects, parked.objects]),
         np.array(
             [(*zone.lower, *zone.upper, zone.light) for zone in world.zones if zone.indoor], float
         ).reshape(-1, 7),
     )
 
 
-def _uv_per_m(
-    edge: Float64[np.ndarray, "n 2 3"], uv: Float32[np.ndarray, "n 3 2"]
-) -> Float32[np.ndarray, "n 2"]:
-    """Length of the gradient of u and of v on each triangle."""
-    duv = (uv[:, 1:] - uv[:, :1]).astype(np.float64)  # n, edge, (u, v)
-    gram = edge @ edge.transpose(0, 2, 1)
-    slope = np.linalg.solve(gram, duv)
-    return np.sqrt(np.maximum((duv * slope).sum(axis=1), 0.0)).astype(np.float32)
+def with_traffic(scene: Scene, soup: Soup) -> Scene:
+    """The scene with traffic in it; the given one stays as it is and serves the next moment too.
+
+    ValueError where the scene has traffic already.
+    """
+    if len(scene.traffic.face) > 0:
+        raise ValueError("this scene has its traffic already: begin with the one without")
+    if len(soup.corners) == 0:
+        return scene
+    normal, uv, uv_per_m = _measure(soup)
+    return Scene(
+        scene.still,
+        _tree(soup),
+        np.concatenate([scene.normal, normal]),
+        np.concatenate([scene.uv, uv]),
+        np.concatenate([scene.uv_per_m, uv_per_m]),
+        np.concatenate([scene.material, soup.material]),
+        np.concatenate([scene.object_id, soup.object_id + np.int32(len(scene.objects))]),
+        np.concatenate([scene.objects, soup.objects]),
+        scene.zones,
+    )
+
+
+def _tree(soup: Soup) -> Bvh:
+    return build_bvh(soup.corners, (soup.material == Material.LEAF).astype(np.uint8))
+
+
+def _measure(
+    soup: Soup,
+) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 6"], Float32[np.ndarray, "n 2"]]:
+    """Normal, texture coordinates, and lengths of the gradients of u and v, of each triangle."""
+    edge = (soup.corners[:, 1:] - soup.corners[:, :1]).astype(np.float64)
+    a, b = edge[:, 0], edge[:, 1]
+    cross = np.cross(a, b)
+    area = np.linalg.norm(cross, axis=1)
+    duv = (soup.uv[:, 1:] - soup.uv[:, :1]).astype(np.float64)  # n, edge, (u, v)
+    # |gradient|^2 = d^T G^-1 d with the Gram matrix G of the edges, whose determinant is area^2
+    square = (
+        duv[:, 0] ** 2 * (b * b).sum(axis=1)[:, None]
+        - 2.0 * duv[:, 0] * duv[:, 1] * (a * b).sum(axis=1)[:, None]
+        + duv[:, 1] ** 2 * (a * a).sum(axis=1)[:, None]
+    )
+    return (
+        (cross / area[:, None]).astype(np.float32),
+        soup.uv.reshape(-1, 6),
+        (np.sqrt(np.maximum(square, 0.0)) / area[:, None]).astype(np.float32),
+    )
 
 
 @inlined
 def trace_scene(
     scene: Scene, stack: Stack, o: Vector, d: Vector, t_max: float, foliage: float
 ) -> tuple[float, int, float, float]:
-    """Nearest hit over both trees, numbered as the scene's faces; see `bvh.trace`."""
-    t, face, b1, b2 = trace(scene.static, stack, o, d, t_max, False, foliage)
-    t2, face2, c1, c2 = trace(scene.moving, stack, o, d, t, False, foliage)
+    """Nearest hit over all trees, numbered as the scene's faces; see `bvh.trace`."""
+    t, face, b1, b2 = trace(scene.still, stack, o, d, t_max, False, foliage)
+    t2, face2, c1, c2 = trace(scene.traffic, stack, o, d, t, False, foliage)
     if face2 >= 0:
-        return t2, face2 + len(scene.static.face), c1, c2
+        return t2, face2 + len(scene.still.face), c1, c2
     return t, face, b1, b2
 
 
 @inlined
 def blocked(scene: Scene, stack: Stack, o: Vector, d: Vector, t_max: float, foliage: float) -> bool:
     """Whether anything stands in the way within `t_max` metres."""
-    if trace(scene.static, stack, o, d, t_max, True, foliage)[1] >= 0:
+    if trace(scene.still, stack, o, d, t_max, True, foliage)[1] >= 0:
         return True
-    return trace(scene.moving, stack, o, d, t_max, True, foliage)[1] >= 0
+    return trace(scene.traffic, stack, o, d, t_max, True, foliage)[1] >= 0
 
 
 @inlined

@@ -6,28 +6,35 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 
-from adafusion.sim.corridors import lay_out_corridor
+from adafusion.sim.passages import COURT_HALF_M, court_rects, lay_out_passages
 from adafusion.sim.plan import (
+    INDOORS,
     KERB_M,
     PATH_HALF_M,
     ROAD_HALF_M,
     WALK_HALF_M,
     Hills,
     Plan,
+    Rect,
     Street,
     along,
     arc,
     offset_line,
+    resampled,
+    touches,
     trimmed,
 )
 from adafusion.sim.shapes import Material, disc
 
 MARGIN_M = 110.0  # open land around the town
 CLEAR_M = 9.5  # of a crossing: kerbs begin there
+LEVEL_M = 25.0  # around passages: their courts and a little more
 _ASPHALT_RGB = (0.105, 0.105, 0.11)
 
 
@@ -57,18 +64,25 @@ def lay_out_streets(plan: Plan) -> None:
         p, q = ((i, j), (i + 1, j + 1)) if rng.random() < 0.5 else ((i + 1, j), (i, j + 1))
         line = arc(np.array(plan.nodes[grid[p]]), np.array(plan.nodes[grid[q]]))
         plan.streets.append(Street((grid[p], grid[q]), line, "street"))
-    for k in range(spec.corridors):
-        column = 0 if k % 2 == 0 else spec.columns - 1
-        beside = [grid[column, j] for j in range(spec.rows)]
-        lay_out_corridor(plan, beside, west=column == 0)
-    # a path may not use what a building wants, nor a building what a path wants
-    for street in plan.streets:
-        half = WALK_HALF_M if street.kind == "street" else 3.0
-        for start, end in itertools.pairwise(street.line):
-            (x, y), d = ((start + end) / 2).tolist(), end - start
-            reach = float(np.hypot(*d)) / 2 + 1.0
-            plan.taken.append((x, y, math.atan2(d[1], d[0]), reach, half))
+    lay_out_passages(plan, [rect for street in plan.streets for rect in _ground_of(street)])
+    plan.taken.extend(rect for street in plan.streets for rect in _ground_of(street))
+    plan.ways = np.concatenate([_points_of(e, street) for e, street in enumerate(plan.streets)])
     plan.hills = _raise_hills(plan)
+
+
+def _ground_of(street: Street) -> Iterator[Rect]:
+    """The ground that a street or path takes, piece by piece."""
+    half = WALK_HALF_M if street.kind == "street" else 3.0
+    for start, end in itertools.pairwise(street.line):
+        (x, y), d = ((start + end) / 2).tolist(), end - start
+        yield x, y, math.atan2(d[1], d[0]), float(np.hypot(*d)) / 2 + 1.0, half
+
+
+def _points_of(number: int, street: Street) -> Float64[np.ndarray, "n 4"]:
+    """The rows of `Plan.ways` of one street; none for what lies indoors."""
+    line = street.line[:0] if street.kind in INDOORS else street.line
+    half = ROAD_HALF_M if street.kind == "street" else PATH_HALF_M
+    return np.column_stack([line, np.full(len(line), half), np.full(len(line), float(number))])
 
 
 def _raise_hills(plan: Plan) -> Hills:
@@ -77,7 +91,15 @@ def _raise_hills(plan: Plan) -> Hills:
     amplitude = rng.uniform(0.3, 0.9, 5)
     phase = rng.uniform(0, 2 * np.pi, 5)
     table = np.stack([amplitude, k * np.cos(angle), k * np.sin(angle), phase], axis=1)
-    return Hills(table, tuple(plan.zones))
+    level = [
+        replace(
+            zone,
+            lower=(zone.lower[0] - LEVEL_M, zone.lower[1] - LEVEL_M, zone.lower[2]),
+            upper=(zone.upper[0] + LEVEL_M, zone.upper[1] + LEVEL_M, zone.upper[2]),
+        )
+        for zone in plan.zones
+    ]
+    return Hills(table, tuple(level))
 
 
 def pave(plan: Plan) -> None:
@@ -88,8 +110,7 @@ def pave(plan: Plan) -> None:
     marks = plan.rng("markings")
     for index, street in enumerate(plan.streets):
         if street.kind == "path":
-            edges = ((PATH_HALF_M, 0.0), (-PATH_HALF_M, 0.0))
-            _strip(plan, street.line, *edges, Material.PAVING, paving)
+            _pave_path(plan, street, paving)
         elif street.kind == "street":
             _pave_street(plan, index, marks, paving, kerb)
     _pave_crossings(plan, paving)
@@ -109,6 +130,17 @@ def _lay_grass(plan: Plan) -> None:
     plan.soup.quads(cells, Material.GRASS, grass, cells[:, :, :2])
 
 
+def _pave_path(plan: Plan, street: Street, paving: int) -> None:
+    """A footpath as far as the courts before doors, which are all alike."""
+    courts = [rect for p in plan.passages for rect in court_rects(p, COURT_HALF_M)]
+    s = np.arange(0.0, along(street.line)[-1], 0.5)
+    line = resampled(street.line, s)
+    line = line[[not touches(xy, 0.01, courts) for xy in line]]
+    if len(line) > 1:
+        edges = ((PATH_HALF_M, 0.0), (-PATH_HALF_M, 0.0))
+        _strip(plan, arc(line[0], line[-1]), *edges, Material.PAVING, paving)
+
+
 def _pave_street(
     plan: Plan, index: int, marks: np.random.Generator, paving: int, kerb: int
 ) -> None:
@@ -116,13 +148,16 @@ def _pave_street(
     # style of the markings: 0 none, 1 dashed middle line, 2 solid, 3 parking bays only
     style = int(marks.choice(4, p=(0.2, 0.45, 0.2, 0.15)))
     road = plan.soup.add_object("road", _ASPHALT_RGB, style=style)
-    across = ((ROAD_HALF_M, 0.0), (-ROAD_HALF_M, 0.0))
-    _strip(plan, line, *across, Material.ASPHALT, road)
-    between = trimmed(line, CLEAR_M, CLEAR_M)
-    if between is None:
-        return
+    edges = (ROAD_HALF_M, 0.0), (0.0, 0.0), (-ROAD_HALF_M, 0.0)
+    for left, right in itertools.pairwise(edges):  # halves follow the slope better
+        _strip(plan, line, left, right, Material.ASPHALT, road)
+    length = float(along(line)[-1])
     for side in (1.0, -1.0):
         inner, outer = side * ROAD_HALF_M, side * WALK_HALF_M
+        start, end = plan.clear_run(index, [inner, outer], 0.4, paths=False)
+        between = trimmed(line, max(start, CLEAR_M), max(length - end, CLEAR_M))
+        if between is None:
+            continue
         rim = inner + side * 0.18
         _strip(plan, between, (inner, 0.0), (inner, KERB_M), Material.PLAIN, kerb)
         _strip(plan, between, (inner, KERB_M), (rim, KERB_M), Material.PLAIN, kerb)
@@ -130,7 +165,7 @@ def _pave_street(
         _strip(plan, between, (outer, KERB_M), (outer, -0.1), Material.PLAIN, kerb)
     if marks.random() < 0.45:
         stripes = plan.soup.add_object("road", (0.62, 0.62, 0.60), seed=index)
-        rest = float(along(line)[-1]) - 14.0
+        rest = length - 14.0
         above = ((ROAD_HALF_M, 0.02), (-ROAD_HALF_M, 0.02))
         for zebra in (trimmed(line, 11.0, rest), trimmed(line, rest, 11.0)):
             if zebra is not None:
@@ -146,12 +181,16 @@ def _pave_crossings(plan: Plan, paving: int) -> None:
             (13.0, -0.03, Material.PAVING, paving),
             (8.6, 0.012, Material.ASPHALT, plain),
         ):
-            rim = disc(plan.nodes[node], radius, 12)
-            ring = np.column_stack([rim, plan.hills(rim) + lift])
-            centre = np.array([*plan.nodes[node], plan.hills.at(plan.nodes[node]) + lift])
-            after = np.roll(ring, -1, axis=0)
-            corners = np.stack([np.tile(centre, (12, 1)), ring, after, after], axis=1)
-            uv = corners[:, :, :2] - np.array(plan.nodes[node]) + 20.0  # away from lane markings
+            middle = np.array(plan.nodes[node])
+            # in rings of about 4 m: a wider sheet would leave the slope
+            radii = np.linspace(0.0, radius, math.ceil(radius / 4.4) + 1)
+            rings = np.stack([disc(plan.nodes[node], r, 12) for r in radii])
+            z = plan.hills(rings.reshape(-1, 2)).reshape(*rings.shape[:2], 1) + lift
+            points = np.concatenate([rings, z], axis=2)
+            after = np.roll(points, -1, axis=1)
+            corners = np.stack([points[:-1], points[1:], after[1:], after[:-1]], axis=2)
+            corners = corners.reshape(-1, 4, 3)
+            uv = corners[:, :, :2] - middle + 20.0  # away from lane markings
             plan.soup.quads(corners, material, owner, uv)
 
 

@@ -84,13 +84,15 @@ def surface(
     v: float,
     wu: float,
     wv: float,
+    autumn: float,
     lit_share: float,
     lit_seed: int,
 ) -> tuple[Vector, float, Vector]:
     """Albedo, share of glass, and glow in units of a lit window or lamp, at (u, v) of a face.
 
     (wu, wv) is the footprint of the pixel: patterns finer than it fade into their mean.
-    `lit_share` of the windows are lit, which ones is up to `lit_seed`.
+    `autumn` is the share of leaves that have turned. `lit_share` of the windows are lit, which
+    ones is up to `lit_seed`.
     """
     rgb, w = (row[0], row[1], row[2]), max(wu, wv)
     if material == _FACADE:
@@ -116,8 +118,7 @@ def surface(
     elif material == _BARK:
         rgb = _toned((0.115, 0.085, 0.06), 0.7 + 0.6 * value_noise(u * 14.0, v * 3.0, 2))
     elif material == _LEAF:
-        tone = 0.65 + 0.7 * uniform(face, 3, 5)
-        rgb = rgb[0] * tone * (0.85 + 0.3 * uniform(face, 4, 5)), rgb[1] * tone, rgb[2] * tone
+        rgb = _leaf(rgb, face, autumn)
     elif material == _HEDGE:
         fade = 1.0 - smooth(0.05, 0.4, w)
         tone = 0.75 + 0.5 * fade * value_noise(u * 11.0, v * 11.0, 2) + 0.25 * (1 - fade)
@@ -146,6 +147,18 @@ def surface(
 @inlined
 def _toned(rgb: Vector, tone: float) -> Vector:
     return rgb[0] * tone, rgb[1] * tone, rgb[2] * tone
+
+
+@inlined
+def _leaf(green: Vector, face: int, autumn: float) -> Vector:
+    """A leaf card; those of one tree turn about the same colour, each in its own time."""
+    tone = 0.65 + 0.7 * uniform(face, 3, 5)
+    if uniform(face, 5, 5) < autumn:
+        tree = uniform(int(green[1] * 1e6), 6, 5)  # no two trees have quite the same green
+        turned = blend((0.40, 0.27, 0.030), (0.34, 0.085, 0.020), tree)
+        turned = blend(turned, (0.16, 0.085, 0.035), 0.7 * uniform(face, 7, 5))  # to brown
+        return _toned(turned, tone)
+    return green[0] * tone * (0.85 + 0.3 * uniform(face, 4, 5)), green[1] * tone, green[2] * tone
 
 
 # --------------------------------------------------------------------------------------- facades

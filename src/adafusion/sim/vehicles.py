@@ -1,117 +1,322 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""Vehicles of one run, parked and in traffic: the only geometry that differs between runs."""
+"""Cars, vans, buses and lorries, each built once; and those that one run finds at the kerbs."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float, Float64
 from scipy.spatial import KDTree
 
+from adafusion.sim.instances import Instance, place, standing
 from adafusion.sim.numeric import keyed_rng
 from adafusion.sim.plan import along, leftward, point_on
-from adafusion.sim.shapes import Material, Point, Soup, SoupBuilder, turned
+from adafusion.sim.shapes import Material, Soup, SoupBuilder, rectangle
 from adafusion.sim.world import World
 
 PARKING_M = 4.5  # lateral middle of a parked car
 BAY_M = 5.9  # length of a parking place
 CLEAR_M = 2.0  # nothing stands nearer to the way of the run's own vehicle
+LIT = 1  # style of the lamps of a vehicle that drives: those of a parked one are off
+
+# a hull is drawn through cross-sections, each a polygon of one half:
+# share of the half width, share of the way from the underside to the shoulder
+_ROUND = ((0.90, 0.0), (1.0, 0.32), (0.985, 0.74), (0.88, 1.0))
+_UPRIGHT = ((0.96, 0.0), (1.0, 0.12), (0.985, 0.86), (0.90, 1.0))
+Section = tuple[float, float, float, float]  # x from the rear, underside, shoulder, half width
 
 
 @dataclass(frozen=True)
 class VehicleShape:
-    """Side view of a vehicle: x along its length from the rear, z up, in metres."""
+    """A vehicle in metres: x along its length from the rear bumper, z up."""
 
-    body: tuple[tuple[float, float], ...]  # closed outline, clockwise from the rear bottom
+    hull: tuple[Section, ...]  # from the rear to the front
+    profile: tuple[tuple[float, float], ...]
     cabin: tuple[tuple[float, float], ...]  # lower rear, upper rear, upper front, lower front
-    width: float
-    wheels: tuple[float, float]
+    panes: tuple[tuple[float, float], ...]  # of the cabin's sides, as shares of its length
+    wheels: tuple[float, ...]
     wheel_radius: float
+    lamp_m: float  # height of the lamps' middle
+
+    @property
+    def length(self) -> float:
+        """From bumper to bumper."""
+        return self.hull[-1][0]
+
+    @property
+    def half_width(self) -> float:
+        """Half of the widest section."""
+        return max(section[3] for section in self.hull)
 
 
-VEHICLES = (
-    VehicleShape(  # hatchback
-        ((0.0, 0.35), (0.05, 0.95), (2.7, 1.0), (3.85, 0.82), (4.0, 0.6), (4.0, 0.32)),
-        ((0.12, 0.95), (0.55, 1.48), (1.95, 1.5), (2.9, 0.97)),
-        1.75,
-        (0.72, 3.2),
-        0.31,
+HATCHBACK = VehicleShape(
+    hull=(
+        (0.0, 0.42, 0.90, 0.74), (0.12, 0.30, 0.98, 0.83), (0.7, 0.22, 1.0, 0.875),
+        (2.7, 0.2, 0.98, 0.875), (3.5, 0.22, 0.88, 0.855), (3.88, 0.28, 0.80, 0.78),
+        (4.0, 0.36, 0.73, 0.68),
     ),
-    VehicleShape(  # saloon
-        (
-            (0.0, 0.38),
-            (0.05, 0.92),
-            (0.9, 1.0),
-            (3.2, 0.98),
-            (4.5, 0.84),
-            (4.65, 0.6),
-            (4.65, 0.33),
-        ),
-        ((0.75, 0.98), (1.35, 1.42), (2.6, 1.44), (3.4, 0.96)),
-        1.82,
-        (0.9, 3.75),
-        0.33,
+    profile=_ROUND,
+    cabin=((0.10, 0.96), (0.52, 1.46), (1.95, 1.50), (2.95, 0.96)),
+    panes=((0.08, 0.30), (0.34, 0.62), (0.65, 0.94)),
+    wheels=(0.72, 3.2), wheel_radius=0.31, lamp_m=0.62,
+)  # fmt: skip
+SALOON = VehicleShape(
+    hull=(
+        (0.0, 0.42, 0.84, 0.76), (0.15, 0.28, 0.96, 0.86), (0.9, 0.22, 1.0, 0.91),
+        (3.2, 0.2, 0.97, 0.91), (4.1, 0.22, 0.86, 0.89), (4.5, 0.28, 0.80, 0.81),
+        (4.65, 0.36, 0.73, 0.70),
     ),
-    VehicleShape(  # estate or off-roader
-        ((0.0, 0.45), (0.04, 1.08), (3.3, 1.12), (4.5, 0.98), (4.65, 0.7), (4.65, 0.42)),
-        ((0.1, 1.08), (0.35, 1.68), (2.45, 1.72), (3.4, 1.1)),
-        1.88,
-        (0.9, 3.75),
-        0.37,
+    profile=_ROUND,
+    cabin=((0.72, 0.96), (1.42, 1.40), (2.65, 1.44), (3.5, 0.94)),
+    panes=((0.10, 0.50), (0.54, 0.94)),
+    wheels=(0.9, 3.75), wheel_radius=0.33, lamp_m=0.62,
+)  # fmt: skip
+ESTATE = VehicleShape(
+    hull=(
+        (0.0, 0.5, 1.0, 0.80), (0.12, 0.38, 1.08, 0.89), (0.9, 0.32, 1.12, 0.94),
+        (3.3, 0.3, 1.10, 0.94), (4.15, 0.32, 1.02, 0.92), (4.5, 0.38, 0.94, 0.84),
+        (4.65, 0.46, 0.87, 0.74),
     ),
-    VehicleShape(  # van
-        ((0.0, 0.4), (0.02, 2.3), (3.9, 2.35), (4.35, 1.5), (5.1, 1.1), (5.2, 0.42)),
-        ((3.4, 1.35), (3.5, 2.1), (3.98, 2.1), (4.38, 1.4)),
-        1.98,
-        (0.95, 4.3),
-        0.36,
+    profile=_ROUND,
+    cabin=((0.08, 1.06), (0.38, 1.66), (2.45, 1.70), (3.4, 1.06)),
+    panes=((0.05, 0.28), (0.32, 0.60), (0.63, 0.94)),
+    wheels=(0.9, 3.75), wheel_radius=0.37, lamp_m=0.75,
+)  # fmt: skip
+VAN = VehicleShape(
+    hull=(
+        (0.0, 0.4, 2.25, 0.93), (0.1, 0.3, 2.34, 0.98), (3.75, 0.28, 2.36, 0.99),
+        (4.0, 0.28, 2.2, 0.98), (4.5, 0.28, 1.38, 0.97), (5.05, 0.32, 1.08, 0.86),
+        (5.2, 0.42, 0.85, 0.74),
     ),
-)
+    profile=_UPRIGHT,
+    cabin=((3.35, 1.22), (3.4, 1.98), (4.0, 1.98), (4.42, 1.3)),
+    panes=((0.04, 0.94),),
+    wheels=(0.95, 4.25), wheel_radius=0.36, lamp_m=0.78,
+)  # fmt: skip
+BUS = VehicleShape(
+    hull=(
+        (0.0, 0.5, 2.75, 1.15), (0.12, 0.32, 2.95, 1.24), (10.7, 0.3, 2.95, 1.24),
+        (10.95, 0.32, 2.8, 1.2), (11.0, 0.5, 2.6, 1.12),
+    ),
+    profile=_UPRIGHT,
+    cabin=((0.5, 1.25), (0.5, 2.35), (10.6, 2.35), (10.6, 1.25)),
+    panes=tuple((k / 7 + 0.008, (k + 1) / 7 - 0.008) for k in range(7)),
+    wheels=(2.7, 8.4), wheel_radius=0.48, lamp_m=0.75,
+)  # fmt: skip
+LORRY = VehicleShape(  # its cab; the box behind it is added apart
+    hull=(
+        (6.35, 0.55, 2.55, 1.16), (6.5, 0.5, 2.75, 1.2), (7.9, 0.45, 2.7, 1.2),
+        (8.3, 0.42, 1.7, 1.18), (8.4, 0.45, 1.55, 1.1),
+    ),
+    profile=_UPRIGHT,
+    cabin=((7.05, 1.5), (7.05, 2.35), (7.75, 2.35), (7.95, 1.5)),
+    panes=((0.0, 1.0),),
+    wheels=(1.3, 2.4, 7.35), wheel_radius=0.48, lamp_m=0.85,
+)  # fmt: skip
+CARS = (HATCHBACK, SALOON, ESTATE, VAN)  # what parks
+CAR_ODDS = (0.36, 0.30, 0.22, 0.12)
+VEHICLES = (*CARS, BUS, LORRY)  # what drives
+VEHICLE_ODDS = (0.29, 0.25, 0.20, 0.12, 0.08, 0.06)
 _PAINTS = (
     (0.62, 0.62, 0.63), (0.03, 0.03, 0.035), (0.28, 0.29, 0.31), (0.72, 0.72, 0.70),
     (0.05, 0.09, 0.25), (0.35, 0.03, 0.03), (0.10, 0.11, 0.12), (0.07, 0.16, 0.12),
     (0.45, 0.42, 0.36), (0.55, 0.25, 0.05),
 )  # fmt: skip
+_LIVERIES = ((0.45, 0.03, 0.03), (0.62, 0.42, 0.03), (0.65, 0.65, 0.63), (0.05, 0.22, 0.10))
 
 
-def add_vehicle(
-    soup: SoupBuilder, rng: np.random.Generator, xy: Point, z: float, yaw: float
-) -> None:
-    """Put one vehicle of random make and colour on the ground at `xy`."""
-    shape = VEHICLES[rng.choice(len(VEHICLES), p=(0.36, 0.30, 0.22, 0.12))]
-    paint = np.array(_PAINTS[rng.integers(len(_PAINTS))]) * rng.uniform(0.8, 1.1)
-    site = _Site(shape, xy, z, yaw)
-    car = soup.add_object("car", paint)
-    _add_body(soup, site, car)
-    if shape.body[1][1] > 2.0:
-        _add_van_panes(soup, site, car)
-    else:
-        _add_cabin(soup, site, car)
+def paint_of(shape: VehicleShape, rng: np.random.Generator) -> Float64[np.ndarray, "1 3"]:
+    """Draw a colour that such a vehicle comes in."""
+    choice = _LIVERIES if shape in (BUS, LORRY) else _PAINTS
+    return np.array([choice[int(rng.integers(len(choice)))]]) * rng.uniform(0.8, 1.1)
+
+
+@cache
+def vehicle(shape: VehicleShape, *, lit: bool) -> Soup:
+    """Triangles of a vehicle around the origin, x forward, its wheels on z = 0.
+
+    Its first object is what is painted. With `lit` its lamps have the style `LIT`.
+    """
+    soup = SoupBuilder()
+    paint = soup.add_object("car")
+    trim = soup.add_object("car", (0.02, 0.02, 0.02))
+    site = _Site(soup, shape)
+    site.add_hull(paint)
+    site.add_cabin(paint)
+    if shape is LORRY:
+        site.add_box(trim)
     for x in shape.wheels:
-        for side in (1, -1):
-            _add_wheel(soup, site, car, x, side)
-    ends = np.array([0.1, site.length - 0.1, site.length - 0.1, 0.1])
-    under = site(ends, np.array([1, 1, -1, -1]) * (site.half - 0.05), np.full(4, 0.33))
-    soup.quads(under[None], Material.RUBBER, car)
-    _add_lights(soup, site)
+        for side in (1.0, -1.0):
+            site.add_wheel(x, side, trim)
+    site.add_ends(trim, LIT if lit else 0)
+    return soup.build()
 
 
 class _Site:
-    """Where a vehicle stands: maps (x from its rear, y to its left, z up) to the world."""
+    """A vehicle in the making: puts quads at (x from its rear, y to its left, z up)."""
 
-    def __init__(self, shape: VehicleShape, xy: Point, z: float, yaw: float) -> None:
-        self.shape, self.xy, self.z, self.yaw = shape, xy, z, yaw
-        self.half = shape.width / 2
-        self.length = max(x for x, _ in shape.body)
+    def __init__(self, soup: SoupBuilder, shape: VehicleShape) -> None:
+        self.soup, self.shape = soup, shape
+        self.half = shape.half_width
 
-    def __call__(
-        self, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], z: Float[np.ndarray, " n"]
-    ) -> Float64[np.ndarray, "n 3"]:
-        flat = turned(np.column_stack([x - self.length / 2, y]), self.xy, self.yaw)
-        return np.column_stack([flat, z + self.z])
+    def quads(self, corners: Float[np.ndarray, "k 4 3"], material: Material, owner: int) -> None:
+        self.soup.quads(corners - (self.shape.length / 2, 0.0, 0.0), material, owner)
+
+    def panel(
+        self,
+        x: tuple[float, float, float, float],
+        y: tuple[float, float, float, float],
+        z: tuple[float, float, float, float],
+        material: Material,
+        owner: int,
+    ) -> None:
+        """One quad, by its columns."""
+        self.quads(np.column_stack([x, y, z])[None], material, owner)
+
+    def add_hull(self, paint: int) -> None:
+        """Skin over the sections, both ends, and a dark underside."""
+        sections = np.array(self.shape.hull)
+        width, level = np.array(self.shape.profile).T
+        x, low, high, half = sections.T[:, :, None]
+        left = np.stack(np.broadcast_arrays(x, half * width, low + level * (high - low)), axis=2)
+        right = left * (1.0, -1.0, 1.0)
+        ring = np.concatenate([left, right[:, ::-1]], axis=1)  # up the left side, down the right
+        skin = np.stack([ring[:-1, :-1], ring[1:, :-1], ring[1:, 1:], ring[:-1, 1:]], axis=2)
+        self.quads(skin.reshape(-1, 4, 3), Material.CAR_BODY, paint)
+        for end in (ring[0], ring[-1]):
+            self.quads(_fan(end), Material.CAR_BODY, paint)
+        below = np.stack([left[:-1, 0], left[1:, 0], right[1:, 0], right[:-1, 0]], axis=1)
+        self.quads(below, Material.RUBBER, paint)
+
+    def add_cabin(self, paint: int) -> None:
+        """Roof, pillars and panes above the shoulder, or panes alone on a hull that is high."""
+        (x0, z0), (x1, z1), (x2, z2), (x3, z3) = self.shape.cabin
+        low, top = 0.86 * self.half, 0.72 * self.half
+        tall = self.shape.profile is _UPRIGHT
+        if tall:
+            low = top = self.half
+            self._add_windscreen()
+        else:
+            cabin = np.array(self.shape.cabin)
+            left = np.column_stack([cabin[:, 0], (low, top, top, low), cabin[:, 1]])
+            right = left * (1.0, -1.0, 1.0)
+            # up the rear, over the roof, down the windscreen
+            bands = np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1)
+            self.quads(np.stack([*bands, left, right]), Material.CAR_BODY, paint)
+            for (xa, za), (xb, zb), away in (
+                ((x0, z0), (x1, z1), -0.012),
+                ((x3, z3), (x2, z2), 0.012),
+            ):
+                a, b = 0.10, 0.90  # of the way up
+                xs = (xa + a * (xb - xa) + away, xa + b * (xb - xa) + away)
+                ys = tuple(0.9 * (low + share * (top - low)) for share in (a, b))
+                zs = (za + a * (zb - za) + 0.01, za + b * (zb - za) + 0.01)
+                self.panel(
+                    (xs[0], xs[1], xs[1], xs[0]), (ys[0], ys[1], -ys[1], -ys[0]),
+                    (zs[0], zs[1], zs[1], zs[0]), Material.GLASS, paint,
+                )  # fmt: skip
+        for a, b in self.shape.panes:
+            rise = (0.0, 1.0) if tall else (0.12, 0.86)
+
+            def at(share: float, up: float) -> tuple[float, float, float]:
+                below, above = x0 + share * (x3 - x0), x1 + share * (x2 - x1)
+                foot, head = z0 + share * (z3 - z0), z1 + share * (z2 - z1)
+                y = low + up * (top - low) + 0.012
+                return below + up * (above - below), y, foot + up * (head - foot)
+
+            pane = np.array([at(a, rise[0]), at(b, rise[0]), at(b, rise[1]), at(a, rise[1])])
+            self.quads(np.stack([pane, pane * (1.0, -1.0, 1.0)]), Material.GLASS, paint)
+
+    def _add_windscreen(self) -> None:
+        """Glass on the sections before the cabin, where a high hull slopes down to its front."""
+        hull = np.array(self.shape.hull)
+        # the last part of the roof line that falls steeply is the screen
+        fall = np.diff(hull[:, 2]) / np.maximum(np.diff(hull[:, 0]), 1e-3)
+        k = int(np.argmin(fall[len(fall) // 2 :])) + len(fall) // 2
+        (xa, _, za, wa), (xb, _, zb, wb) = hull[k], hull[k + 1]
+        if self.shape is BUS:  # its screen is its whole front
+            (xa, za, wa), (xb, zb, wb) = (11.0, 2.45, 1.12), (11.0, 1.15, 1.12)
+        ya, yb = 0.84 * wa, 0.86 * wb
+        xs = np.array([xa + 0.06 * (xb - xa), xb - 0.06 * (xb - xa)]) + 0.02
+        zs = np.array([za + 0.06 * (zb - za), zb - 0.06 * (zb - za)]) + 0.01
+        self.panel(
+            (xs[0], xs[1], xs[1], xs[0]), (ya, yb, -yb, -ya), (zs[0], zs[1], zs[1], zs[0]),
+            Material.GLASS, 0,
+        )  # fmt: skip
+
+    def add_box(self, trim: int) -> None:
+        """The load of a lorry on its chassis."""
+        load = self.soup.add_object("car", (0.55, 0.55, 0.53))
+        middle = (3.1 - self.shape.length / 2, 0.0)
+        self.soup.block(
+            rectangle(middle, 6.2, 2.48, 0.0), 1.05, 3.5, Material.PLAIN, load, floor=True
+        )
+        beam = rectangle((3.3 - self.shape.length / 2, 0.0), 6.5, 1.0, 0.0)
+        self.soup.block(beam, 0.6, 1.05, Material.RUBBER, trim)
+
+    def add_wheel(self, x: float, side: float, trim: int) -> None:
+        """Arch, tyre and rim flat on the side; of the tread the lower half."""
+        radius, y = self.shape.wheel_radius, side * (self.half + 0.004)
+        if x > self.shape.hull[0][0]:
+            arch = np.linspace(-0.35, math.pi + 0.35, 8)
+            self._disc(x, y, radius * 1.2, radius, arch, Material.RUBBER, trim)
+        around = 2 * np.pi * np.arange(8) / 8
+        self._disc(x, y + side * 0.006, radius, radius, around, Material.RUBBER, trim)
+        rim = self.soup.add_object("car", (0.34, 0.34, 0.36))
+        self._disc(x, y + side * 0.012, radius * 0.62, radius, around, Material.METAL, rim)
+        self._disc(x, y + side * 0.018, radius * 0.16, radius, around, Material.RUBBER, trim)
+        angle = np.pi + np.pi * np.arange(5) / 4
+        a, b = (
+            np.column_stack(
+                [x + radius * np.cos(angle), np.full(5, depth), radius * (1 + np.sin(angle))]
+            )
+            for depth in (y + side * 0.006, y - side * 0.2)
+        )
+        tread = np.stack([a[:-1], a[1:], b[1:], b[:-1]], axis=1)
+        self.quads(tread, Material.RUBBER, trim)
+
+    def _disc(
+        self,
+        x: float,
+        y: float,
+        radius: float,
+        z: float,
+        angle: Float[np.ndarray, " n"],
+        material: Material,
+        owner: int,
+    ) -> None:
+        n = len(angle)
+        edge = [x + radius * np.cos(angle), np.full(n, y), z + radius * np.sin(angle)]
+        self.quads(_fan(np.column_stack(edge)), material, owner)
+
+    def add_ends(self, trim: int, style: int) -> None:
+        """Lamps, number plates and the grille."""
+        soup, z = self.soup, self.shape.lamp_m
+        rear, front = self.shape.hull[0], self.shape.hull[-1]
+        plate = soup.add_object("car", (0.75, 0.72, 0.6))
+        for (x, _, _, half), away, colour in (
+            ((min(rear[0], 0.0), *rear[1:]), -0.012, (0.5, 0.02, 0.02)),
+            (front, 0.012, (0.8, 0.8, 0.75)),
+        ):
+            lamp = soup.add_object("car", colour, style=style)
+            at = (x + away,) * 4
+            for side in (1.0, -1.0):
+                y = (side * 0.5 * half, side * 0.93 * half)
+                up, low = z + 0.075, z - 0.075
+                self.panel(
+                    at, (y[0], y[1], y[1], y[0]), (low, low, up, up), Material.CAR_LIGHT, lamp
+                )
+            mark = (0.26, -0.26, -0.26, 0.26)
+            self.panel(at, mark, (z - 0.24, z - 0.24, z - 0.13, z - 0.13), Material.PLAIN, plate)
+        x, wide = front[0] + 0.008, 0.46 * front[3]
+        self.panel(
+            (x,) * 4, (wide, -wide, -wide, wide), (z - 0.08, z - 0.08, z + 0.06, z + 0.06),
+            Material.RUBBER, trim,
+        )  # fmt: skip
 
 
 def _fan(outline: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "k 4 3"]:
@@ -120,124 +325,38 @@ def _fan(outline: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "k 4 3"]:
     return np.array([outline[[0, i, i + 1, min(i + 2, n - 1)]] for i in range(1, n - 1, 2)])
 
 
-def _add_body(soup: SoupBuilder, site: _Site, car: int) -> None:
-    """Draw the side view across the whole width."""
-    x, z = np.array(site.shape.body).T
-    left, right = (site(x, np.full(len(x), y), z) for y in (site.half, -site.half))
-    across = np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1)
-    soup.quads(across, Material.CAR_BODY, car)
-    for side in (left, right):
-        soup.quads(_fan(side), Material.CAR_BODY, car)
+def park_vehicles(world: World, seed: int, density: float, path: Float[np.ndarray, "n 2"]) -> Soup:
+    """Vehicles at the kerbs in `density` of the places, some streets fuller than others.
 
-
-def _add_van_panes(soup: SoupBuilder, site: _Site, car: int) -> None:
-    """Windscreen and side windows, flat on the body."""
-    x = np.array([3.97, 4.33, 4.33, 3.97])
-    screen = site(
-        x, np.array([1, 1, -1, -1]) * site.half * 0.88, np.array([2.22, 1.56, 1.56, 2.22])
-    )
-    screen[:, 2] += 0.02
-    soup.quads(screen[None], Material.GLASS, car)
-    x, z = np.array(site.shape.cabin).T
-    for side in (1.01, -1.01):
-        pane = site(x, np.full(4, side * site.half), z)
-        soup.quads(pane[None], Material.GLASS, car)
-
-
-def _add_cabin(soup: SoupBuilder, site: _Site, car: int) -> None:
-    """A cabin that narrows upwards: roof, screens, pillars, and side panes a hair outside."""
-    cabin = np.array(site.shape.cabin)
-    low, top = site.half * 0.96, site.half * 0.78
-    widths = np.array([low, top, top, low])
-    left, right = (site(cabin[:, 0], y * widths, cabin[:, 1]) for y in (1, -1))
-    roof = np.stack([left[1], left[2], right[2], right[1]])
-    soup.quads(roof[None], Material.CAR_BODY, car)
-    rear = np.stack([left[0], left[1], right[1], right[0]])
-    front = np.stack([left[3], left[2], right[2], right[3]])
-    soup.quads(np.stack([rear, front]), Material.GLASS, car)
-    soup.quads(left[None], Material.CAR_BODY, car)
-    soup.quads(right[None], Material.CAR_BODY, car)
-    z0, z1 = cabin[0, 1] + 0.06, cabin[1, 1] - 0.07
-    outside = np.array([low - 0.005, low - 0.005, top + 0.03, top + 0.03])
-    for side in (1, -1):
-        for a, b in ((0.10, 0.50), (0.55, 0.94)):
-            below = cabin[0, 0] + (cabin[3, 0] - cabin[0, 0]) * np.array([a, b])
-            above = cabin[1, 0] + (cabin[2, 0] - cabin[1, 0]) * np.array([a, b])
-            x = np.array([below[0] + 0.05, below[1], above[1], above[0]])
-            pane = site(x, side * outside, np.array([z0, z0, z1, z1]))
-            soup.quads(pane[None], Material.GLASS, car)
-
-
-def _add_wheel(soup: SoupBuilder, site: _Site, car: int, x: float, side: int) -> None:
-    angle, radius = 2 * np.pi * np.arange(9) / 8, site.shape.wheel_radius
-    rim_x, rim_z = x + radius * np.cos(angle), radius * (1 + np.sin(angle))
-    half = site.half
-    face = site(rim_x[:8], np.full(8, side * (half + 0.015)), rim_z[:8])
-    soup.quads(_fan(face), Material.RUBBER, car)
-    hub = site(
-        x + 0.55 * (rim_x[:8] - x),
-        np.full(8, side * (half + 0.022)),
-        radius + 0.55 * (rim_z[:8] - radius),
-    )
-    soup.quads(_fan(hub), Material.METAL, car)
-    inner = site(rim_x, np.full(9, side * (half - 0.2)), rim_z)
-    outer = site(rim_x, np.full(9, side * (half + 0.015)), rim_z)
-    tread = np.stack([inner[:-1], inner[1:], outer[1:], outer[:-1]], axis=1)
-    soup.quads(tread[4:], Material.RUBBER, car)  # the lower half: the arch hides the rest
-
-
-def _add_lights(soup: SoupBuilder, site: _Site) -> None:
-    """Lamps and a number plate at both ends."""
-    for x, colour in ((-0.01, (0.5, 0.02, 0.02)), (site.length + 0.01, (0.8, 0.8, 0.75))):
-        glow = soup.add_object("car", colour)
-        z = np.array([0.58, 0.58, 0.74, 0.74])
-        for a, b in ((-0.95, -0.6), (0.6, 0.95)):
-            lamp = site(np.full(4, x), np.array([a, b, b, a]) * site.half, z)
-            soup.quads(lamp[None], Material.CAR_LIGHT, glow)
-        plate = soup.add_object("car", (0.75, 0.72, 0.6))
-        y, z = np.array([-0.26, 0.26, 0.26, -0.26]), np.array([0.42, 0.42, 0.53, 0.53])
-        soup.quads(site(np.full(4, x), y, z)[None], Material.PLAIN, plate)
-
-
-def build_vehicles(
-    world: World,
-    run_seed: int,
-    parked: float,
-    traffic: float,
-    path: Float[np.ndarray, "n 2"],
-) -> Soup:
-    """Vehicles of one run: parked at the kerbs, and caught in the other lane.
-
-    `parked` is the share of places taken, `traffic` the vehicles per 40 m of street; nothing
-    stands on the `path` that the run takes.
+    Each place asks a number of its own: a denser run keeps the cars of a sparser one with the same
+    seed. Nothing stands on the `path` that the run takes.
     """
-    soup = SoupBuilder()
-    way = KDTree(path)
+    way, found = KDTree(path), []
     for e, street in enumerate(world.streets):
         if street.kind != "street":
             continue
         length = float(along(street.line)[-1])
-
-        def put(
-            rng: np.random.Generator, s: float, side: float, lateral: float, skew: float,
-            line: Float64[np.ndarray, "n 2"] = street.line,
-        ) -> None:  # fmt: skip
-            xy, yaw = point_on(line, s)
-            foot = xy + leftward(yaw) * (side * lateral)
-            if way.query(foot)[0] > CLEAR_M:  # on the left of the line they come towards us
-                heading = yaw + (math.pi if side > 0 else 0.0) + skew
-                add_vehicle(soup, rng, foot, world.hills.at(foot), heading)
-
         busy = keyed_rng(world.spec.seed, "street", e, "parking").uniform(0.2, 1.8, 2)
         for side, busyness in ((1, busy[1]), (-1, busy[0])):
             for k, s in enumerate(np.arange(15.0, length - 16.0, BAY_M).tolist()):
-                rng = keyed_rng(run_seed, "street", e, side, "parked", k)
-                if rng.random() < parked * busyness:
-                    s += float(rng.uniform(-0.4, 0.4))
-                    lateral = PARKING_M + float(rng.uniform(-0.15, 0.15))
-                    put(rng, s, float(side), lateral, float(rng.normal(0.0, 0.02)))
-        rng = keyed_rng(run_seed, "street", e, "traffic")
-        count = rng.poisson(traffic * length / 40.0)
-        for s in rng.uniform(20.0, max(length - 20.0, 21.0), count).tolist():
-            put(rng, s, float(rng.choice([-1.0, 1.0])), 2.3, 0.0)
-    return soup.build()
+                rng = keyed_rng(seed, "street", e, side, "parked", k)
+                if rng.random() >= density * busyness:
+                    continue
+                xy, yaw = point_on(street.line, s + float(rng.uniform(-0.4, 0.4)))
+                xy = xy + leftward(yaw) * side * (PARKING_M + float(rng.uniform(-0.15, 0.15)))
+                if way.query(xy)[0] <= CLEAR_M:
+                    continue
+                # on the left of the line they come towards us
+                yaw += (math.pi if side > 0 else 0.0) + float(rng.normal(0.0, 0.02))
+                shape = CARS[int(rng.choice(len(CARS), p=CAR_ODDS))]
+                found.append((shape, paint_of(shape, rng), xy, yaw))
+    if not found:
+        return place([])
+    shapes, paints, xy, yaw = zip(*found, strict=True)
+    poses = standing(world.hills, np.array(xy), np.array(yaw))
+    return place(
+        [
+            Instance(vehicle(shape, lit=False), T, paint)
+            for shape, T, paint in zip(shapes, poses, paints, strict=True)
+        ]
+    )

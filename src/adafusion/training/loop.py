@@ -36,7 +36,7 @@ from adafusion.losses import (
 )
 from adafusion.models import AdaFusion, load_model, save_model, use_channels_last
 from adafusion.models.backbones import add_norms, fold_norms, initialise_he
-from adafusion.preprocess.augment import color_jitter, jitter_points
+from adafusion.preprocess.augment import blank_sensors, color_jitter, jitter_points
 from adafusion.preprocess.cache import PreparedSet
 from adafusion.preprocess.image import to_unit
 from adafusion.training.checkpoint import claim, restore_checkpoint, save_checkpoint
@@ -425,6 +425,8 @@ def _inputs(
         else:
             voxels = data.voxels(batch.rows)
         voxels = voxels.contiguous(memory_format=torch.channels_last_3d)
+    if image is not None and voxels is not None and augment.blank:
+        blank_sensors(image, voxels, augment.blank, np.random.default_rng((*key, 1)))
     return image, voxels
 
 

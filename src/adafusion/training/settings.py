@@ -90,10 +90,13 @@ class Augment:
     color: float = 0.2  # brightness, contrast and saturation, each by up to this share
     jitter_m: float = 0.0  # standard deviation of each point's shift; reads raw clouds, so slower
     jitter_clip_m: float = 0.05
+    blank: float = 0.0  # share of frames that lose one of two sensors: what makes weights move
 
     def __post_init__(self) -> None:
         if not 0 <= self.color <= 1 or min(self.jitter_m, self.jitter_clip_m) < 0:
             raise ValueError("color is a share in [0, 1]; jitter is not negative")
+        if not 0 <= self.blank <= 1:
+            raise ValueError(f"blank is a share in [0, 1], not {self.blank}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,222 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""A world ready to be filmed: which runs, how large, how finely seen; any frame of any run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+
+from adafusion.datasets.native import check_run_name
+from adafusion.sim.bvh import Bvh
+from adafusion.sim.camera import Camera, Motion, photograph
+from adafusion.sim.conditions import Conditions, preset, vary
+from adafusion.sim.lidar import HDL_32E, HDL_64E, VLP_16, Lidar, scan
+from adafusion.sim.numeric import keyed_rng, keyed_seed
+from adafusion.sim.plan import WorldSpec
+from adafusion.sim.route import Drive, drive
+from adafusion.sim.scene import Scene, build_scene, build_static, with_traffic
+from adafusion.sim.traffic import Traffic, plan_traffic, traffic_at
+from adafusion.sim.vehicles import park_vehicles
+from adafusion.sim.world import World, build_world
+from adafusion.types import Observation, UserError
+
+FROZEN_FRAMES = 12  # a frozen camera shows one picture for so many frames
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """How large a world is and how finely it is seen."""
+
+    world: WorldSpec  # of seed 0
+    camera: Camera
+    lidar: Lidar
+
+
+PROFILES: dict[str, Profile] = {
+    "tiny": Profile(
+        world=WorldSpec(
+            seed=0,
+            columns=2,
+            rows=3,
+            spacing_m=62.0,
+            corridors=2,
+            halls=1,
+            tunnels=1,
+            blank_walls=1,
+            corridor_m=120.0,
+        ),
+        camera=Camera(size=(75, 100)),
+        lidar=VLP_16,
+    ),
+    "small": Profile(
+        world=WorldSpec(seed=0, columns=3, rows=3, spacing_m=80.0, corridor_m=140.0),
+        camera=Camera(size=(150, 200)),
+        lidar=HDL_32E,
+    ),
+    "full": Profile(
+        world=WorldSpec(seed=0, columns=5, rows=6, spacing_m=84.0, corridor_m=140.0),
+        camera=Camera(size=(300, 400)),
+        lidar=HDL_64E,
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """All that decides the bytes of a frame; small, so that it travels to other processes."""
+
+    seed: int
+    runs: tuple[tuple[str, Conditions], ...]
+    profile: str
+    places: int | None
+
+    @property
+    def spec(self) -> WorldSpec:
+        """The world that is driven through."""
+        return replace(PROFILES[self.profile].world, seed=self.seed)
+
+
+def make_job(
+    seed: int,
+    runs: Sequence[str] | Mapping[str, Conditions],
+    profile: str = "tiny",
+    places: int | None = None,
+) -> Job:
+    """Check what is wished for; UserError names what is wrong and the choices.
+
+    A run that is only named has the conditions that `conditions_of` reads from its name.
+    """
+    if profile not in PROFILES:
+        raise UserError(f"unknown profile {profile!r}; choose from {', '.join(PROFILES)}")
+    if not runs or len(set(runs)) != len(runs):
+        raise UserError(f"runs {list(runs)}: name one or more, each once, such as day night day-2")
+    if places is not None and places < 1:
+        raise UserError(f"places = {places}: a run needs one at least")
+    for run in runs:
+        check_run_name(run)
+    known = runs if isinstance(runs, Mapping) else {run: conditions_of(seed, run) for run in runs}
+    return Job(seed=seed, runs=tuple(known.items()), profile=profile, places=places)
+
+
+def conditions_of(seed: int, run: str) -> Conditions:
+    """Conditions of a run by its name: preset, then perhaps `-reverse`, then perhaps a number.
+
+    "night-reverse-2" is the second drive by night the other way round. The run's own key varies
+    the preset, so that two days are two days.
+    """
+    base = re.fullmatch(r"(.+?)(-reverse)?(-\d+)?", run)
+    name, reverse = (base[1], base[2] is not None) if base else (run, False)
+    conditions = vary(preset(name), keyed_rng(seed, "run", run, "conditions"))
+    return replace(conditions, reverse=reverse)
+
+
+class Studio:
+    """The world of a job, and any frame of it."""
+
+    def __init__(
+        self, job: Job, *, camera: Camera | None = None, lidar: Lidar | None = None
+    ) -> None:
+        self.job = job
+        self.camera = PROFILES[job.profile].camera if camera is None else camera
+        self.lidar = PROFILES[job.profile].lidar if lidar is None else lidar
+        self.conditions: dict[str, Conditions] = dict(job.runs)
+        self._set: tuple[str, Scene, Traffic] | None = None  # of the run that was seen last
+        self._last: tuple[str, int, Scene] | None = None  # and of the frame
+        self.drive = cache(self._drive)  # where the frames of a run are
+
+    @cached_property
+    def world(self) -> World:
+        """What stays the same from run to run."""
+        return build_world(self.job.spec)
+
+    @cached_property
+    def _static(self) -> Bvh:
+        return build_static(self.world)
+
+    def scene_at(self, run: str, time_us: int, T_world_body: Float[np.ndarray, "4 4"]) -> Scene:
+        """The world as a run finds it: its parked cars, and what moves near a place at a time."""
+        if self._set is None or self._set[0] != run:
+            c = self.conditions[run]
+            parked = park_vehicles(
+                self.world, self._seed(run, "parked"), c.parked_density, self.drive(run).path
+            )
+            traffic = plan_traffic(
+                self.world, self._seed(run, "traffic"), c.traffic_density, c.people_density
+            )
+            self._set = run, build_scene(self.world, self._static, parked), traffic
+        _, scene, traffic = self._set
+        elapsed_s = (time_us - int(self.drive(run).path_time_us[0])) * 1e-6
+        return with_traffic(scene, traffic_at(self.world, traffic, elapsed_s, T_world_body))
+
+    def _scene_of(self, run: str, k: int) -> Scene:
+        """The scene of a frame; camera and LiDAR ask for the same one after another."""
+        if self._last is None or self._last[:2] != (run, k):
+            way = self.drive(run)
+            scene = self.scene_at(run, int(way.timestamp_us[k]), way.T_world_body[k])
+            self._last = run, k, scene
+        return self._last[2]
+
+    def observe(self, run: str, k: int) -> tuple[int, Observation]:
+        """Timestamp in microseconds and observation of the k-th frame of a run."""
+        points = self.points(run, k)
+        seen = Observation(self.image(run, k), points if len(points) else None)
+        return int(self.drive(run).timestamp_us[k]), seen
+
+    def image(self, run: str, k: int) -> UInt8[np.ndarray, "h w 3"]:
+        """What the camera gives at the k-th frame of a run, its faults included."""
+        c = self.conditions[run]
+        if keyed_rng(self._seed(run, "way"), "fault", k).random() >= c.camera_fault_share:
+            c = replace(c, camera_fault="")
+        if c.camera_fault == "frozen":
+            k, c = k - k % FROZEN_FRAMES, replace(c, camera_fault="")
+        way = self.drive(run)
+        return photograph(
+            self._scene_of(run, k),
+            self.world.lamps,
+            self.camera,
+            c,
+            self.loaded(run, way.T_world_body[k]),
+            self._frame_seed(run, k),
+            self.run_seed(run),
+            Motion(float(way.speed_m_s[k]), float(way.yaw_rate_rad_s[k])),
+        )
+
+    def points(self, run: str, k: int) -> Float32[np.ndarray, "n 3"]:
+        """What the LiDAR gives at the k-th frame of a run, in the body frame; perhaps nothing."""
+        return scan(
+            self._scene_of(run, k),
+            self.lidar,
+            self.conditions[run],
+            self.loaded(run, self.drive(run).T_world_body[k]),
+            self._frame_seed(run, k),
+            self.run_seed(run),
+        )
+
+    def loaded(self, run: str, T_world_body: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+        """Where the sensors take the body to be: `height_m` is a load no calibration knows of."""
+        T = T_world_body.copy()
+        T[:3, 3] += self.conditions[run].height_m * T[:3, 2]
+        return T
+
+    def run_seed(self, run: str) -> int:
+        """The seed of everything that a run draws and its conditions do not fix."""
+        return keyed_seed(self.job.seed, "run", run)
+
+    def _drive(self, run: str) -> Drive:
+        return drive(
+            self.world, self.conditions[run], self._seed(run, "way"), places=self.job.places
+        )
+
+    def _seed(self, run: str, of: str) -> int:
+        """The seed of one factor: as the conditions give it, else the run's own."""
+        given = getattr(self.conditions[run], f"{of}_seed")
+        return self.run_seed(run) if given is None else int(given)
+
+    def _frame_seed(self, run: str, k: int) -> int:
+        return keyed_seed(self.job.seed, "run", run, "frame", k)
