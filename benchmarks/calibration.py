@@ -30,6 +30,7 @@ from adafusion.training import TrainConfig, build_model
 from adafusion.types import Split
 
 DARK = ("night",)  # presets that are no normal run
+INDOORS = ("corridor", "hall", "tunnel")  # lit day and night
 INTERVAL_SEED = 0
 
 
@@ -45,8 +46,15 @@ def preset_of(run: str) -> str:
     return run.split("-")[0]
 
 
-def condition_rows(splits: Sequence[Split]) -> dict[str, list[Split]]:
+def asked_in(splits: Sequence[Split], is_asked: np.ndarray) -> list[Split]:
+    """The splits with those of their queries that lie at the frames chosen."""
+    less = [replace(s, query_rows=s.query_rows[is_asked[s.query_rows]]) for s in splits]
+    return [split for split in less if len(split.query_rows)]
+
+
+def condition_rows(splits: Sequence[Split], zones: np.ndarray) -> dict[str, list[Split]]:
     """Pairs of runs by what they have in common."""
+    outdoors = ~np.isin(zones, INDOORS)
 
     def chosen(keep: Callable[[str, str], bool]) -> list[Split]:
         return [split for split in splits if keep(*split.name.split("->"))]
@@ -61,7 +69,9 @@ def condition_rows(splits: Sequence[Split]) -> dict[str, list[Split]]:
         "normal runs": chosen(normal),
         "normal, same direction": chosen(lambda a, b: normal(a, b) and same_way(a, b)),
         "normal, opposite direction": chosen(lambda a, b: normal(a, b) and not same_way(a, b)),
+        "normal, outdoors": asked_in(chosen(normal), outdoors),
         "with night": chosen(lambda a, b: not normal(a, b)),
+        "with night, outdoors": asked_in(chosen(lambda a, b: not normal(a, b)), outdoors),
         "with night, same direction": chosen(lambda a, b: not normal(a, b) and same_way(a, b)),
     }
     presets = {preset_of(run) for split in splits for run in split.name.split("->")}
@@ -74,10 +84,7 @@ def condition_rows(splits: Sequence[Split]) -> dict[str, list[Split]]:
 
 def zone_rows(splits: Sequence[Split], zones: np.ndarray) -> dict[str, list[Split]]:
     """Queries of one kind of zone, asked of the whole database, over normal pairs."""
-    rows = {}
-    for zone in sorted(set(zones)):
-        row = [replace(s, query_rows=s.query_rows[zones[s.query_rows] == zone]) for s in splits]
-        rows[f"in {zone}"] = [split for split in row if len(split.query_rows)]
+    rows = {f"in {zone}": asked_in(splits, zones == zone) for zone in sorted(set(zones))}
     return {name: row for name, row in rows.items() if row}
 
 
@@ -121,7 +128,7 @@ def main() -> None:
     splits = dataset_splits(dataset, "cross-run")
     judged = judge(models, dataset, splits, cache, progress=bar)
     zones = np.array([frame.zone for frame in dataset.frames])
-    by_condition = condition_rows(splits)
+    by_condition = condition_rows(splits, zones)
     same_way = by_condition.get("normal, same direction", [])
     lines = [
         f"# The synthetic world, one sensor at a time, {datetime.now(UTC):%Y-%m-%d}",

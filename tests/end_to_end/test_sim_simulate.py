@@ -4,14 +4,23 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import subprocess
+import sys
+import time
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from adafusion.datasets import Dataset
-from adafusion.sim.simulate import conditions_of, simulate
+import adafusion.sim.simulate
+from adafusion.datasets import Dataset, open_dataset
+from adafusion.sim.conditions import PRESETS
+from adafusion.sim.simulate import simulate
+from adafusion.sim.studio import conditions_of
 from adafusion.types import UserError
 
 RUNS = ["day", "night"]
@@ -32,7 +41,7 @@ def test_it_writes_a_dataset_that_says_it_is_synthetic(dataset: Dataset) -> None
     assert dataset.info.synthetic is True
     assert dataset.runs == ("day", "night")
     assert len(dataset.frames) == 6
-    assert set(dataset.info.regions) == {"test", "validation"}
+    assert set(dataset.info.regions) == {"guard", "test", "validation"}
     assert set(dataset.info.sensors["conditions"]) == set(RUNS)
     for frame in dataset.frames:
         seen = dataset.load(frame)
@@ -42,6 +51,8 @@ def test_it_writes_a_dataset_that_says_it_is_synthetic(dataset: Dataset) -> None
         assert len(seen.points_body) > 2000
         assert frame.zone in {"street", "park", "path", "corridor"}
         assert frame.T_world_body is not None
+        assert frame.T_world_ins is not None
+        assert 0.0 < np.linalg.norm((frame.T_world_ins - frame.T_world_body)[:2, 3]) < 6.0
 
 
 def test_the_ground_is_near_zero_in_the_body_frame(dataset: Dataset) -> None:
@@ -71,6 +82,53 @@ def test_a_repeat_draws_its_own_noise_and_traffic(tmp_path: Path) -> None:
     assert b is not None
     assert a.shape != b.shape or not np.array_equal(a, b)
     assert conditions_of(3, "day") != conditions_of(3, "day-2")
+
+
+def test_a_dead_sensor_leaves_no_file(tmp_path: Path) -> None:
+    dead = replace(PRESETS["day"], lidar_dead=True)
+    out = simulate(tmp_path / "dead", seed=3, runs={"dead": dead}, profile="tiny", places=1)
+    assert out.frames[0].cloud is None
+    assert out.frames[0].image is not None
+
+
+def test_a_full_disk_is_named_and_leaves_nothing_that_passes_for_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> tuple[None, None]:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(adafusion.sim.simulate, "write_observation", full)
+    out = tmp_path / "world"
+    with pytest.raises(UserError, match=r"world\.partial cannot be written.*free space"):
+        simulate(out, seed=3, runs=["day"], profile="tiny", places=2)
+    assert not out.exists()
+    with pytest.raises(UserError, match="not finished: repeat the command"):
+        open_dataset(out)
+
+
+@pytest.mark.slow
+def test_a_killed_rendering_goes_on_to_the_same_bytes(dataset: Dataset, tmp_path: Path) -> None:
+    """kill -9 takes parent and workers in the middle; the same call then finishes."""
+    out = tmp_path / "killed"
+    script = (
+        "from adafusion.sim.simulate import simulate\n"
+        "if __name__ == '__main__':\n"
+        f"    simulate({str(out)!r}, seed=3, runs={RUNS!r}, profile='tiny', places=3, workers=2)\n"
+    )
+    file = tmp_path / "job.py"
+    file.write_text(script, encoding="utf-8")
+    job = subprocess.Popen([sys.executable, str(file)])
+    partial = tmp_path / "killed.partial"
+    deadline = time.monotonic() + 200.0
+    while len(list(partial.rglob("*.npy"))) < 1:
+        assert time.monotonic() < deadline, "nothing was rendered"
+        assert job.poll() is None, "the job ended before it could be killed"
+        time.sleep(0.01)
+    job.kill()
+    job.wait()
+    assert not out.exists()
+    again = simulate(out, seed=3, runs=RUNS, profile="tiny", places=3, workers=2)
+    assert contents(again) == contents(dataset)
 
 
 def test_it_goes_on_where_it_was_cut_off(dataset: Dataset, tmp_path: Path) -> None:
@@ -110,6 +168,7 @@ def test_it_goes_on_where_it_was_cut_off(dataset: Dataset, tmp_path: Path) -> No
         ({"regions": "none"}, "all-test"),
         ({"places": 0}, "places"),
         ({"workers": 0}, "workers"),
+        ({"runs": {"../day": PRESETS["day"]}}, "cannot name a folder"),
     ],
 )
 def test_bad_wishes_are_answered_before_anything_is_written(

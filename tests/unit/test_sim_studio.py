@@ -16,7 +16,7 @@ from adafusion.types import UserError
 
 FIXED = dict.fromkeys(("way_seed", "parked_seed", "traffic_seed", "window_seed", "cloud_seed"), 1)
 BASE = replace(PRESETS["overcast"], **FIXED)
-K = 30  # a frame on a street
+K = 30
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def seen() -> Callable[[str], Studio]:
         "rarely black": replace(BASE, camera_fault="black", camera_fault_share=0.3),
         "frozen": replace(BASE, camera_fault="frozen"),
     }
-    return Studio(make_job(3, runs, "tiny", 40))
+    return Studio(make_job(3, runs, "tiny"))
 
 
 def test_a_name_says_preset_direction_and_repeat() -> None:
@@ -56,17 +56,25 @@ def test_runs_that_share_all_seeds_differ_in_noise_alone(seen: Studio) -> None:
 @pytest.mark.parametrize("run", ["cars", "people"])
 def test_what_moves_changes_places_but_not_the_way(seen: Studio, run: str) -> None:
     np.testing.assert_array_equal(seen.drive("base").path, seen.drive(run).path)
-    moved = [
-        np.abs(seen.image("base", k).astype(int) - seen.image(run, k)).mean()
-        for k in range(25, 40, 3)
-    ]
-    assert max(moved) > 4.0
+    streets = [k for k, zone in enumerate(seen.drive("base").zone) if zone == "street"]
+
+    def changed(other: str) -> float:
+        """Largest share of a picture's pixels that differ by more than noise."""
+        return max(
+            float((np.abs(a - b).max(axis=2) > 60).mean())
+            for a, b in (
+                (seen.image("base", k).astype(int), seen.image(other, k)) for k in streets[::3]
+            )
+        )
+
+    assert changed("again") == 0.0
+    assert changed(run) > 0.002
 
 
 def test_a_load_lifts_the_sensors_and_the_calibration_does_not_know(seen: Studio) -> None:
     def ground(run: str) -> float:
         points = seen.points(run, K)
-        near = np.hypot(points[:, 0], points[:, 1]) < 6.0
+        near = np.hypot(points[:, 0], points[:, 1]) < 14.0
         return float(np.median(points[near & (points[:, 2] < 0.3), 2]))
 
     assert ground("high") - ground("base") == pytest.approx(-0.4, abs=0.05)
