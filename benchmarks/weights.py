@@ -31,7 +31,7 @@ from adafusion.models import AdaFusion, describe, load_model, prepared_batches
 from adafusion.preprocess.cache import PreparedFrames, prepare_cache
 from adafusion.provenance import git_commit
 from adafusion.search import pairwise_distances
-from adafusion.sim.conditions import PRESETS, Conditions, between
+from adafusion.sim.run.conditions import PRESETS, Conditions, between
 from adafusion.sim.simulate import simulate
 from adafusion.types import Descriptions, Estimate
 

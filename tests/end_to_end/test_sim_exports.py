@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from adafusion.sim.exports import EXPORTS, export
-from adafusion.sim.route import pose_along
+from adafusion.sim.run.route import pose_along
 from adafusion.sim.studio import Studio, make_job
 from adafusion.types import UserError
 

@@ -18,7 +18,7 @@ import pytest
 
 import adafusion.sim.simulate
 from adafusion.datasets import Dataset, open_dataset
-from adafusion.sim.conditions import PRESETS
+from adafusion.sim.run.conditions import PRESETS
 from adafusion.sim.simulate import simulate
 from adafusion.sim.studio import conditions_of
 from adafusion.types import UserError

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from adafusion.sim.bvh import Bvh, build_bvh, join_bvh, leaf_is_there, new_stack, trace
-from adafusion.sim.shapes import Material, Soup, SoupBuilder, rectangle
+from adafusion.sim.sensing.bvh import Bvh, build_bvh, join_bvh, leaf_is_there, new_stack, trace
+from adafusion.sim.town.shapes import Material, Soup, SoupBuilder, rectangle
 
 
 @njit

@@ -11,15 +11,15 @@ import pytest
 from numba import njit
 
 from adafusion.geometry import pose_from_xyz_yaw
-from adafusion.sim.bvh import new_stack
-from adafusion.sim.lidar import HDL_64E, ray_directions
 from adafusion.sim.numeric import keyed_rng
-from adafusion.sim.plan import WorldSpec, point_on
-from adafusion.sim.scene import Scene, build_scene, build_static, trace_scene, with_traffic
-from adafusion.sim.shapes import Material, Soup
-from adafusion.sim.traffic import plan_traffic, traffic_at
-from adafusion.sim.vehicles import park_vehicles
-from adafusion.sim.world import World, build_world
+from adafusion.sim.run.traffic import plan_traffic, traffic_at
+from adafusion.sim.run.vehicles import park_vehicles
+from adafusion.sim.sensing.bvh import new_stack
+from adafusion.sim.sensing.lidar import HDL_64E, ray_directions
+from adafusion.sim.sensing.scene import Scene, build_scene, build_static, trace_scene, with_traffic
+from adafusion.sim.town.plan import WorldSpec, point_on
+from adafusion.sim.town.shapes import Material, Soup
+from adafusion.sim.town.world import World, build_world
 
 embree = pytest.importorskip(
     "embreex.rtcore_scene", reason="embreex has no wheel for this platform"

@@ -57,3 +57,21 @@ def test_imports_point_down() -> None:
 def test_every_part_has_its_layer() -> None:
     parts = {part_of(path) for path in ROOT.rglob("*.py")} - {"__init__"}
     assert parts == set(LEVEL)
+
+
+def test_the_synthetic_world_is_built_from_the_ground_up() -> None:
+    """Town, then run, then sensing: each imports from itself and those before alone."""
+    order = ["numeric", "town", "run", "sensing"]
+    wrong = []
+    for path in sorted((ROOT / "sim").rglob("*.py")):
+        part = path.relative_to(ROOT / "sim").with_suffix("").parts[0]
+        if part not in order:
+            continue  # studio, simulate and what else puts the three together
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
+                "adafusion.sim."
+            ):
+                target = (node.module or "").split(".")[2]
+                if target not in order[: order.index(part) + 1]:
+                    wrong.append(f"{path.relative_to(ROOT)} imports {target}")
+    assert not wrong, "\n".join(wrong)

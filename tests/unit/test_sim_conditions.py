@@ -10,7 +10,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from adafusion.sim.conditions import PRESETS, RANGES, Conditions, between, preset, vary
+from adafusion.sim.run.conditions import PRESETS, RANGES, Conditions, between, preset, vary
 from adafusion.types import UserError
 
 DAY, NIGHT = PRESETS["day"], PRESETS["night"]

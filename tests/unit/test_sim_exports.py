@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 from adafusion.geometry import pose_from_xyz_yaw, rotation_from_rpy
-from adafusion.sim.camera import Camera
 from adafusion.sim.exports import nclt, pointnetvlad, robotcar
 from adafusion.sim.exports.frames import geodetic, ins_along, pose_of, six_numbers
 from adafusion.sim.exports.layout import Layout, Piece, write_layout
 from adafusion.sim.exports.pictures import undistortion
 from adafusion.sim.exports.pushbroom import INS, LMS, LMS_FRONT, fan, mounting
 from adafusion.sim.numeric import keyed_rng
-from adafusion.sim.route import Drive
+from adafusion.sim.run.route import Drive
+from adafusion.sim.sensing.camera import Camera
 from adafusion.types import UserError
 
 # ------------------------------------------------------------------------------------------ layout

@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 
-from adafusion.sim.camera import Camera
-from adafusion.sim.lens import Motion, smear, smudge, spatter, spread, sun_veil
+from adafusion.sim.sensing.camera import Camera
+from adafusion.sim.sensing.lens import Motion, smear, smudge, spatter, spread, sun_veil
 
 CAMERA = Camera(size=(60, 80), pitch_down_rad=0.0, forward_m=0.0)
 VIEW = CAMERA.view(np.eye(4))

@@ -11,11 +11,11 @@ import pytest
 
 from adafusion.datasets.splits import region_of
 from adafusion.geometry import is_rigid
-from adafusion.sim.conditions import PRESETS
 from adafusion.sim.regions import GUARD_M, split_three, split_two
-from adafusion.sim.route import drive, plan_route, pose_along
+from adafusion.sim.run.conditions import PRESETS
+from adafusion.sim.run.route import drive, plan_route, pose_along
 from adafusion.sim.studio import PROFILES
-from adafusion.sim.world import World, build_world
+from adafusion.sim.town.world import World, build_world
 
 DAY = PRESETS["day"]
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adafusion.sim.camera import Camera
-from adafusion.sim.sensor import Exposure, demosaic, develop, meter, mosaic
+from adafusion.sim.sensing.camera import Camera
+from adafusion.sim.sensing.sensor import Exposure, demosaic, develop, meter, mosaic
 
 SENSOR = Camera().sensor._replace(
     full_well=10_000.0, sensitivity=1e6, shortest_s=1e-4, longest_s=0.01, largest_gain=8.0, key=0.2

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from adafusion.geometry import pose_from_xyz_yaw
-from adafusion.sim.camera import Camera, Motion, mosaic, photograph, radiance
-from adafusion.sim.conditions import PRESETS, Conditions
-from adafusion.sim.lens import STILL, spread
-from adafusion.sim.lidar import (
+from adafusion.sim.run.conditions import PRESETS, Conditions
+from adafusion.sim.run.vehicles import LIT
+from adafusion.sim.sensing.camera import Camera, Motion, mosaic, photograph, radiance
+from adafusion.sim.sensing.lens import STILL, spread
+from adafusion.sim.sensing.lidar import (
     HDL_32E,
     HDL_64E,
     VLP_16,
@@ -25,12 +26,11 @@ from adafusion.sim.lidar import (
     scan,
     scan_ranges,
 )
-from adafusion.sim.plan import Hills, WorldSpec, Zone
-from adafusion.sim.scene import Scene, build_scene, build_static, outdoor_length
-from adafusion.sim.sensor import develop, meter
-from adafusion.sim.shapes import Material, SoupBuilder, rectangle
-from adafusion.sim.vehicles import LIT
-from adafusion.sim.world import World
+from adafusion.sim.sensing.scene import Scene, build_scene, build_static, outdoor_length
+from adafusion.sim.sensing.sensor import develop, meter
+from adafusion.sim.town.plan import Hills, WorldSpec, Zone
+from adafusion.sim.town.shapes import Material, SoupBuilder, rectangle
+from adafusion.sim.town.world import World
 
 CAMERA = Camera(size=(30, 40))
 HERE = np.eye(4)

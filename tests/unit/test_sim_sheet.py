@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from adafusion.sim.lidar import VLP_16, Lidar, ray_directions
+from adafusion.sim.sensing.lidar import VLP_16, Lidar, ray_directions
 from adafusion.sim.sheet import CELL_PX, Cell, cell_of, draw_sheet, range_image, write_sheet
 from adafusion.types import Observation, UserError
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adafusion.sim.conditions import PRESETS, Conditions
+from adafusion.sim.run.conditions import PRESETS, Conditions
 from adafusion.sim.studio import FROZEN_FRAMES, Studio, conditions_of, make_job
 from adafusion.types import UserError
 

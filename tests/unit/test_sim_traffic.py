@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 
 from adafusion.geometry import pose_from_xyz_yaw
-from adafusion.sim.instances import Instance, place, standing
-from adafusion.sim.people import STRIDES, person
-from adafusion.sim.plan import KERB_M, Hills, Street, WorldSpec
-from adafusion.sim.scene import build_scene, build_static, with_traffic
-from adafusion.sim.shapes import Material, Soup, SoupBuilder, rectangle
-from adafusion.sim.traffic import (
+from adafusion.sim.run.instances import Instance, place, standing
+from adafusion.sim.run.people import STRIDES, person
+from adafusion.sim.run.traffic import (
     END_M,
     LANE_M,
     NEAREST_M,
@@ -25,8 +22,11 @@ from adafusion.sim.traffic import (
     positions,
     traffic_at,
 )
-from adafusion.sim.vehicles import BUS, CARS, LIT, LORRY, VEHICLES, park_vehicles, vehicle
-from adafusion.sim.world import World
+from adafusion.sim.run.vehicles import BUS, CARS, LIT, LORRY, VEHICLES, park_vehicles, vehicle
+from adafusion.sim.sensing.scene import build_scene, build_static, with_traffic
+from adafusion.sim.town.plan import KERB_M, Hills, Street, WorldSpec
+from adafusion.sim.town.shapes import Material, Soup, SoupBuilder, rectangle
+from adafusion.sim.town.world import World
 
 FAR = np.array([[1e4, 1e4]])
 HERE = pose_from_xyz_yaw(100.0, 0.0, 0.0, 0.0)

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from adafusion.geometry import pose_from_xyz_yaw
-from adafusion.sim.buildings import BUILDING_TYPES
-from adafusion.sim.conditions import PRESETS
-from adafusion.sim.lidar import Lidar, ray_directions, scan_ranges
 from adafusion.sim.numeric import keyed_rng
-from adafusion.sim.passages import COURT_HALF_M, COURT_M, NODE_M, PASSAGE_KINDS, court_rects
-from adafusion.sim.plan import (
+from adafusion.sim.run.conditions import PRESETS
+from adafusion.sim.sensing.lidar import Lidar, ray_directions, scan_ranges
+from adafusion.sim.sensing.scene import Scene, build_scene, build_static
+from adafusion.sim.town.buildings import BUILDING_TYPES
+from adafusion.sim.town.passages import COURT_HALF_M, COURT_M, NODE_M, PASSAGE_KINDS, court_rects
+from adafusion.sim.town.plan import (
     INDOORS,
     ROAD_HALF_M,
     Hills,
@@ -27,9 +28,8 @@ from adafusion.sim.plan import (
     overlaps,
     touches,
 )
-from adafusion.sim.scene import Scene, build_scene, build_static
-from adafusion.sim.shapes import PITCH, STYLE, Material, Soup, SoupBuilder, rectangle
-from adafusion.sim.world import STEPS, World, build_world, geometry_hash, zone_labels
+from adafusion.sim.town.shapes import PITCH, STYLE, Material, Soup, SoupBuilder, rectangle
+from adafusion.sim.town.world import STEPS, World, build_world, geometry_hash, zone_labels
 
 SPEC = WorldSpec(
     seed=1,

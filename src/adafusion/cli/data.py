@@ -14,7 +14,7 @@ from adafusion.cli.common import bar, split_names
 from adafusion.types import UserError
 
 if TYPE_CHECKING:
-    from adafusion.sim.conditions import Conditions
+    from adafusion.sim.run.conditions import Conditions
 
 
 def simulate(

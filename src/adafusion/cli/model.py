@@ -54,7 +54,7 @@ def show(
     from adafusion.config import change_config, dump_config, load_config
     from adafusion.models import ModelConfig
     from adafusion.preprocess import Preprocess
-    from adafusion.sim.conditions import PRESETS
+    from adafusion.sim.run.conditions import PRESETS
     from adafusion.training import TrainConfig
     from adafusion.types import UserError
 

@@ -12,7 +12,7 @@ import typer
 from adafusion.cli.common import bar, cache_folder, say, split_names
 
 if TYPE_CHECKING:
-    from adafusion.sim.conditions import Conditions
+    from adafusion.sim.run.conditions import Conditions
     from adafusion.sim.studio import Studio
 
 app = typer.Typer(
@@ -158,7 +158,7 @@ def _same_but_for_light(name: str) -> Conditions:
     """A preset whose way and moving things are those of every other one."""
     from dataclasses import replace
 
-    from adafusion.sim.conditions import preset
+    from adafusion.sim.run.conditions import preset
 
     seen = preset(name)
     return replace(

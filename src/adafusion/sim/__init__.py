@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A synthetic world with a camera and a LiDAR, for all who have no recordings: never called real.
 
-WorldSpec -> World                 world.py: from plan, streets, corridors, buildings, planting,
-                                   furniture; the same for every run
-Conditions -> vehicles, Light      conditions.py, vehicles.py: what differs between runs
-World + vehicles -> Scene          scene.py, bvh.py: made ready for rays
-World -> Drive                     route.py: where the frames of a run are
-Scene, pose -> image, points       camera.py, lidar.py, over the surfaces of textures.py
-runs -> Dataset                    simulate.py
+    town     what stands still: streets, buildings, identical passages
+    run      what differs between runs: conditions, way, parked cars, traffic
+    sensing  what camera and LiDAR make of it
+
+and, from these three: studio.py (any frame of any run), simulate.py (runs as a dataset), regions.py
+(what teaches, chooses, judges), benchmarks.py (named worlds that never change), sheet.py (contact
+sheets) and exports (the layouts of recorded data sets).
 """

@@ -19,7 +19,7 @@ from adafusion.datasets.native import Dataset, open_dataset
 from adafusion.files import fingerprint
 from adafusion.sim.simulate import WORLD_VERSION, describe_world, render
 from adafusion.sim.studio import PROFILES, Job, Studio, make_job
-from adafusion.sim.world import geometry_hash
+from adafusion.sim.town.world import geometry_hash
 from adafusion.types import Progress, UserError, silent
 
 
@@ -50,8 +50,20 @@ BENCHMARKS: dict[str, Benchmark] = {
         profile="tiny",
         runs=("day", "dusk-reverse", "night"),
         parts={
-            "train": Part(seed=1101, places=90, regions="teach", geometry="230cc539e779ff00", settings="8df8994c961a87b4"),
-            "test": Part(seed=1201, places=40, regions="all-test", geometry="94783b3474b87783", settings="ada9fa8191cdb3cb"),
+            "train": Part(
+                seed=1101,
+                places=90,
+                regions="teach",
+                geometry="230cc539e779ff00",
+                settings="8df8994c961a87b4",
+            ),
+            "test": Part(
+                seed=1201,
+                places=40,
+                regions="all-test",
+                geometry="94783b3474b87783",
+                settings="ada9fa8191cdb3cb",
+            ),
         },
     ),
     "world-v1-small": Benchmark(
@@ -60,8 +72,15 @@ BENCHMARKS: dict[str, Benchmark] = {
         profile="small",
         runs=("day", "overcast-reverse", "autumn", "snow", "rain", "night"),
         parts={
-            "train": Part(seed=2101, regions="teach", geometry="3dc8cad2c61cd269", settings="eddde046426b3b23"),
-            "test": Part(seed=2201, regions="all-test", geometry="f27ac42211ef2cc1", settings="50855d1c6367858e"),
+            "train": Part(
+                seed=2101, regions="teach", geometry="3dc8cad2c61cd269", settings="eddde046426b3b23"
+            ),
+            "test": Part(
+                seed=2201,
+                regions="all-test",
+                geometry="f27ac42211ef2cc1",
+                settings="50855d1c6367858e",
+            ),
         },
     ),
     "world-v1": Benchmark(
@@ -69,15 +88,35 @@ BENCHMARKS: dict[str, Benchmark] = {
         "300x400 images, 64 beams",
         profile="full",
         runs=(
-            "day", "day-2", "overcast-reverse", "dusk", "night", "night-reverse-2",
-            "autumn-reverse", "snow", "rain", "fog",
+            "day",
+            "day-2",
+            "overcast-reverse",
+            "dusk",
+            "night",
+            "night-reverse-2",
+            "autumn-reverse",
+            "snow",
+            "rain",
+            "fog",
         ),
         parts={
-            "train": Part(seed=3101, places=620, regions="teach", geometry="c3eb142bd0de3767", settings="faeb07f32ecae0b2"),
-            "test": Part(seed=3201, places=240, regions="all-test", geometry="775f8ab0c601d811", settings="46d90a0f19f903c4"),
+            "train": Part(
+                seed=3101,
+                places=620,
+                regions="teach",
+                geometry="c3eb142bd0de3767",
+                settings="faeb07f32ecae0b2",
+            ),
+            "test": Part(
+                seed=3201,
+                places=240,
+                regions="all-test",
+                geometry="775f8ab0c601d811",
+                settings="46d90a0f19f903c4",
+            ),
         },
     ),
-}  # fmt: skip
+}
 
 
 def names() -> list[str]:

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from adafusion.sim.route import plan_route
-from adafusion.sim.world import World
+from adafusion.sim.run.route import plan_route
+from adafusion.sim.town.world import World
 
 Boxes = dict[str, list[list[float]]]
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from adafusion.files import atomic_path, write_text
-from adafusion.sim.lidar import Lidar
+from adafusion.sim.sensing.lidar import Lidar
 from adafusion.types import Observation, UserError
 
 SUFFIXES = (".png", ".html")

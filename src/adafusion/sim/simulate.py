@@ -21,11 +21,11 @@ from adafusion.datasets.native import (
     open_dataset,
     write_observation,
 )
-from adafusion.sim.conditions import Conditions
 from adafusion.sim.regions import REGIONS
-from adafusion.sim.route import Drive
+from adafusion.sim.run.conditions import Conditions
+from adafusion.sim.run.route import Drive
 from adafusion.sim.studio import Job, Studio, make_job
-from adafusion.sim.world import geometry_hash
+from adafusion.sim.town.world import geometry_hash
 from adafusion.types import Frame, Progress, UserError, silent
 
 WORLD_VERSION = "3"  # changes whenever the same seed would give other bytes

@@ -13,17 +13,17 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from adafusion.datasets.native import check_run_name
-from adafusion.sim.bvh import Bvh
-from adafusion.sim.camera import Camera, Motion, photograph
-from adafusion.sim.conditions import Conditions, preset, vary
-from adafusion.sim.lidar import HDL_32E, HDL_64E, VLP_16, Lidar, scan
 from adafusion.sim.numeric import keyed_rng, keyed_seed
-from adafusion.sim.plan import WorldSpec
-from adafusion.sim.route import Drive, drive
-from adafusion.sim.scene import Scene, build_scene, build_static, with_traffic
-from adafusion.sim.traffic import Traffic, plan_traffic, traffic_at
-from adafusion.sim.vehicles import park_vehicles
-from adafusion.sim.world import World, build_world
+from adafusion.sim.run.conditions import Conditions, preset, vary
+from adafusion.sim.run.route import Drive, drive
+from adafusion.sim.run.traffic import Traffic, plan_traffic, traffic_at
+from adafusion.sim.run.vehicles import park_vehicles
+from adafusion.sim.sensing.bvh import Bvh
+from adafusion.sim.sensing.camera import Camera, Motion, photograph
+from adafusion.sim.sensing.lidar import HDL_32E, HDL_64E, VLP_16, Lidar, scan
+from adafusion.sim.sensing.scene import Scene, build_scene, build_static, with_traffic
+from adafusion.sim.town.plan import WorldSpec
+from adafusion.sim.town.world import World, build_world
 from adafusion.types import Observation, UserError
 
 FROZEN_FRAMES = 12  # a frozen camera shows one picture for so many frames

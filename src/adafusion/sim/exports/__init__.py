@@ -13,9 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from adafusion.sim.conditions import Conditions
 from adafusion.sim.exports import nclt, pointnetvlad, robotcar
 from adafusion.sim.exports.layout import Layout, write_layout
+from adafusion.sim.run.conditions import Conditions
 from adafusion.sim.simulate import WORLD_VERSION
 from adafusion.sim.studio import Job, make_job
 from adafusion.types import Progress, UserError, silent

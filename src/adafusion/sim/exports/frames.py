@@ -14,7 +14,7 @@ from jaxtyping import Float, Float64, Int64
 from scipy.spatial.transform import Rotation
 
 from adafusion.geometry import pose, rotation_from_rpy
-from adafusion.sim.route import Drive
+from adafusion.sim.run.route import Drive
 
 T_NED_WORLD = pose(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), (0.0, 0.0, 0.0))
 T_UP_DOWN = pose(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, 0.0))  # z-down body in the z-up body

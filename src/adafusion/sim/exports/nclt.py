@@ -24,7 +24,6 @@ import numpy as np
 from jaxtyping import Float, Float64, Int, Int64, UInt8
 
 from adafusion.geometry import invert, transform
-from adafusion.sim.camera import Camera
 from adafusion.sim.exports.frames import (
     T_NED_WORLD,
     T_UP_DOWN,
@@ -36,9 +35,10 @@ from adafusion.sim.exports.frames import (
 )
 from adafusion.sim.exports.layout import Layout, Piece
 from adafusion.sim.exports.pictures import encode_image, shrinkage, undistortion
-from adafusion.sim.lidar import HDL_32E, Lidar, ray_directions, scan_ranges
 from adafusion.sim.numeric import keyed_rng, keyed_seed
-from adafusion.sim.route import Drive, pose_along
+from adafusion.sim.run.route import Drive, pose_along
+from adafusion.sim.sensing.camera import Camera
+from adafusion.sim.sensing.lidar import HDL_32E, Lidar, ray_directions, scan_ranges
 from adafusion.sim.studio import PROFILES, Job, Studio
 
 WIDTH, HEIGHT, FOCAL = 1616, 1232, 399.433184  # of Cam5's pictures, pixels

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from adafusion.sim.camera import Camera
+from adafusion.sim.sensing.camera import Camera
 
 
 def shrinkage(real_width: int, width: int) -> int:

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Float, Float64, Int64
 
 from adafusion.sim.exports.frames import T_UP_DOWN, ins_along, pose_of
-from adafusion.sim.lidar import Lidar, measure
 from adafusion.sim.numeric import keyed_seed
-from adafusion.sim.route import pose_along
-from adafusion.sim.scene import Scene
+from adafusion.sim.run.route import pose_along
+from adafusion.sim.sensing.lidar import Lidar, measure
+from adafusion.sim.sensing.scene import Scene
 from adafusion.sim.studio import Studio
 
 # a SICK LMS-151: 270 degrees in steps of half a degree, 50 Hz

@@ -20,7 +20,6 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float, Int, Int64, UInt8
 
-from adafusion.sim.camera import Camera, mosaic
 from adafusion.sim.exports.frames import T_NED_WORLD, geodetic, ins_along, six_numbers, table
 from adafusion.sim.exports.layout import Layout, Piece
 from adafusion.sim.exports.pictures import encode_image, shrinkage, undistortion
@@ -32,7 +31,8 @@ from adafusion.sim.exports.pushbroom import (
     Sweep,
     mounting,
 )
-from adafusion.sim.route import pose_along
+from adafusion.sim.run.route import pose_along
+from adafusion.sim.sensing.camera import Camera, mosaic
 from adafusion.sim.studio import PROFILES, Job, Studio
 
 WIDTH, HEIGHT, FOCAL = 1280, 960, 964.829  # of the stereo camera's pictures, pixels

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Float64, UInt8
 
-from adafusion.sim.bvh import new_stack
-from adafusion.sim.conditions import Conditions
-from adafusion.sim.lens import STILL, Motion, smear, smudge, spatter, spread, sun_veil
-from adafusion.sim.lighting import Light, light_of, nearest_lamps
 from adafusion.sim.numeric import kernel
-from adafusion.sim.rendering import View, render, undistorted
-from adafusion.sim.scene import Scene, blocked, zone_of
-from adafusion.sim.sensor import BAYER, Sensor, demosaic, develop, meter, mosaic
-from adafusion.sim.weather import shelters
+from adafusion.sim.run.conditions import Conditions
+from adafusion.sim.sensing.bvh import new_stack
+from adafusion.sim.sensing.lens import STILL, Motion, smear, smudge, spatter, spread, sun_veil
+from adafusion.sim.sensing.lighting import Light, light_of, nearest_lamps
+from adafusion.sim.sensing.rendering import View, render, undistorted
+from adafusion.sim.sensing.scene import Scene, blocked, zone_of
+from adafusion.sim.sensing.sensor import BAYER, Sensor, demosaic, develop, meter, mosaic
+from adafusion.sim.sensing.weather import shelters
 
 __all__ = ["Camera", "Motion", "mosaic", "photograph", "radiance"]
 

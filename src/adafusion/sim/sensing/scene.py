@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64, Int32, UInt8
 
-from adafusion.sim.bvh import Bvh, Stack, build_bvh, join_bvh, trace
 from adafusion.sim.numeric import Vector, inlined
-from adafusion.sim.shapes import Material, Soup, SoupBuilder
-from adafusion.sim.world import World
+from adafusion.sim.sensing.bvh import Bvh, Stack, build_bvh, join_bvh, trace
+from adafusion.sim.town.shapes import Material, Soup, SoupBuilder
+from adafusion.sim.town.world import World
 
 
 class Scene(NamedTuple):

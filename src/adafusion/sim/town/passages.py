@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from adafusion.sim.plan import Passage, Plan, Rect, Street, Zone, arc, overlaps
+from adafusion.sim.town.plan import Passage, Plan, Rect, Street, Zone, arc, overlaps
 
 AWAY_M = 36.0  # from the town's outer crossings
 NODE_M = 9.0  # from a door to the node before it

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float64
 
-from adafusion.sim.shapes import Material, Soup, SoupBuilder
+from adafusion.sim.town.shapes import Material, Soup, SoupBuilder
 
 STRIDES = 8  # phases of a stride
 STRIDE_M = 1.4  # two steps of a person of full size

@@ -15,10 +15,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from adafusion.geometry import rotation_from_rpy
-from adafusion.sim.conditions import Conditions
 from adafusion.sim.numeric import keyed_rng
-from adafusion.sim.plan import offset_line
-from adafusion.sim.world import World, zone_labels
+from adafusion.sim.run.conditions import Conditions
+from adafusion.sim.town.plan import offset_line
+from adafusion.sim.town.world import World, zone_labels
 
 STEP_M = 0.5  # of the dense path
 LANE_M = -1.2  # lateral middle of the lane driven: right of the street's middle line

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from adafusion.sim.numeric import inlined, smooth, uniform, value_noise
-from adafusion.sim.shapes import Material
+from adafusion.sim.town.shapes import Material
 
 SNOW_RGB = (0.82, 0.83, 0.86)
 SNOW_REFLECTIVITY = 0.8  # at 905 nm

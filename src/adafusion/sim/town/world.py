@@ -16,14 +16,14 @@ from jaxtyping import Float, Float64
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from adafusion.sim.blank_walls import build_blank_walls
-from adafusion.sim.buildings import line_with_buildings
-from adafusion.sim.furniture import furnish_streets
-from adafusion.sim.interiors import build_passages
-from adafusion.sim.plan import INDOORS, Hills, Plan, Street, WorldSpec, Zone
-from adafusion.sim.planting import choose_parks, plant_parks
-from adafusion.sim.shapes import Soup
-from adafusion.sim.streets import lay_out_streets, pave
+from adafusion.sim.town.blank_walls import build_blank_walls
+from adafusion.sim.town.buildings import line_with_buildings
+from adafusion.sim.town.furniture import furnish_streets
+from adafusion.sim.town.interiors import build_passages
+from adafusion.sim.town.plan import INDOORS, Hills, Plan, Street, WorldSpec, Zone
+from adafusion.sim.town.planting import choose_parks, plant_parks
+from adafusion.sim.town.shapes import Soup
+from adafusion.sim.town.streets import lay_out_streets, pave
 
 STEPS = (  # in this order: each keeps off what stands already
     lay_out_streets,

@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float, Float64
 from scipy.spatial import KDTree
 
-from adafusion.sim.instances import Instance, place, standing
 from adafusion.sim.numeric import keyed_rng
-from adafusion.sim.plan import along, leftward, point_on
-from adafusion.sim.shapes import Material, Soup, SoupBuilder, rectangle
-from adafusion.sim.world import World
+from adafusion.sim.run.instances import Instance, place, standing
+from adafusion.sim.town.plan import along, leftward, point_on
+from adafusion.sim.town.shapes import Material, Soup, SoupBuilder, rectangle
+from adafusion.sim.town.world import World
 
 PARKING_M = 4.5  # lateral middle of a parked car
 BAY_M = 5.9  # length of a parking place

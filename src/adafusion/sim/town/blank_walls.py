@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from adafusion.sim.paint import paint_wall
-from adafusion.sim.plan import (
+from adafusion.sim.town.paint import paint_wall
+from adafusion.sim.town.plan import (
     KERB_M,
     ROAD_HALF_M,
     WALK_HALF_M,
@@ -26,7 +26,7 @@ from adafusion.sim.plan import (
     leftward,
     overlaps,
 )
-from adafusion.sim.shapes import Material, SoupBuilder
+from adafusion.sim.town.shapes import Material, SoupBuilder
 
 HEIGHT_M = 3.6  # above the pavement
 THICK_M = 0.3

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from adafusion.sim.numeric import keyed_rng
-from adafusion.sim.plan import Plan, Street, Zone, along, leftward, overlaps, point_on, touches
-from adafusion.sim.shapes import Material, Point, SoupBuilder, disc, rectangle, turned
+from adafusion.sim.town.plan import Plan, Street, Zone, along, leftward, overlaps, point_on, touches
+from adafusion.sim.town.shapes import Material, Point, SoupBuilder, disc, rectangle, turned
 
 EAVES_M = 0.4  # roofs reach out of their walls
 VARIANTS = 4  # crowns to choose from, of each kind: many trees share one

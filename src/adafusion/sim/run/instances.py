@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64
 
-from adafusion.sim.plan import Hills
-from adafusion.sim.shapes import TINT, Soup, SoupBuilder
+from adafusion.sim.town.plan import Hills
+from adafusion.sim.town.shapes import TINT, Soup, SoupBuilder
 
 
 @dataclass(frozen=True, eq=False)

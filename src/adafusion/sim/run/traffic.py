@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64, Int64
 
-from adafusion.sim.instances import Instance, place, standing
 from adafusion.sim.numeric import keyed_rng
-from adafusion.sim.people import STRIDE_M, STRIDES, clothes_of, person
-from adafusion.sim.plan import KERB_M, along
-from adafusion.sim.shapes import Soup
-from adafusion.sim.vehicles import VEHICLE_ODDS, VEHICLES, paint_of, vehicle
-from adafusion.sim.world import World
+from adafusion.sim.run.instances import Instance, place, standing
+from adafusion.sim.run.people import STRIDE_M, STRIDES, clothes_of, person
+from adafusion.sim.run.vehicles import VEHICLE_ODDS, VEHICLES, paint_of, vehicle
+from adafusion.sim.town.plan import KERB_M, along
+from adafusion.sim.town.shapes import Soup
+from adafusion.sim.town.world import World
 
 END_M = 12.0  # nobody comes nearer to the end of a street
 LANE_M = -1.95  # lateral middle of a vehicle on its way: it keeps to the right

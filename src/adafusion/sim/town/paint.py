@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from adafusion.sim.shapes import Material, SoupBuilder
+from adafusion.sim.town.shapes import Material, SoupBuilder
 
 FLAT_M = 0.004  # doors and notices stand off their wall: far less than the LiDAR's noise
 _PAINTS = np.array(

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float64
 
-from adafusion.sim.plan import (
+from adafusion.sim.town.plan import (
     INDOORS,
     KERB_M,
     ROAD_HALF_M,
@@ -21,8 +21,8 @@ from adafusion.sim.plan import (
     leftward,
     point_on,
 )
-from adafusion.sim.planting import plant_street
-from adafusion.sim.shapes import Material, Point, disc, rectangle
+from adafusion.sim.town.planting import plant_street
+from adafusion.sim.town.shapes import Material, Point, disc, rectangle
 
 Xy = Float64[np.ndarray, " 2"]
 

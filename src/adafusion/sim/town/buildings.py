@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from adafusion.sim.numeric import keyed_seed
-from adafusion.sim.plan import (
+from adafusion.sim.town.plan import (
     WALK_HALF_M,
     Plan,
     Rect,
@@ -22,7 +22,7 @@ from adafusion.sim.plan import (
     overlaps,
     point_on,
 )
-from adafusion.sim.shapes import Material, Rgb, SoupBuilder, rectangle
+from adafusion.sim.town.shapes import Material, Rgb, SoupBuilder, rectangle
 
 PLINTH_M = 0.35
 _BAY_M, _PORCH_M, _WING_M, _BALCONY_M, _AWNING_M = 0.8, 1.4, 2.6, 1.6, 1.8  # reach of a front

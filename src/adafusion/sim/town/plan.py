@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from adafusion.sim.numeric import keyed_rng
-from adafusion.sim.shapes import Point, SoupBuilder
+from adafusion.sim.town.shapes import Point, SoupBuilder
 
 ROAD_HALF_M = 5.5
 WALK_HALF_M = 8.8  # road and pavements

@@ -11,13 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 
-from adafusion.sim.bvh import new_stack
-from adafusion.sim.conditions import Conditions
 from adafusion.sim.numeric import Vector, inlined, kernel, keyed_rng, normal, uniform
-from adafusion.sim.scene import Scene, outdoor_length, texture_uv, trace_scene, zone_of
-from adafusion.sim.shapes import Material
-from adafusion.sim.textures import REFLECTIVITY, SHOP_WINDOW, WINDOW, window_at
-from adafusion.sim.weather import (
+from adafusion.sim.run.conditions import Conditions
+from adafusion.sim.sensing.bvh import new_stack
+from adafusion.sim.sensing.scene import Scene, outdoor_length, texture_uv, trace_scene, zone_of
+from adafusion.sim.sensing.textures import REFLECTIVITY, SHOP_WINDOW, WINDOW, window_at
+from adafusion.sim.sensing.weather import (
     SNOW_REFLECTIVITY,
     rain_extinction,
     shelters,
@@ -25,6 +24,7 @@ from adafusion.sim.weather import (
     soaked,
     water_on,
 )
+from adafusion.sim.town.shapes import Material
 
 SCATTER_REACH_M = 12.0  # droplets farther than about this are too faint to be detected
 _SCATTER_PER_EXTINCTION = 1.3  # returns from rain, 0.003 a metre where it is heavy (25 mm/h)

@@ -13,7 +13,17 @@ import math
 import numpy as np
 from jaxtyping import Float32
 
-from adafusion.sim.buildings import (
+from adafusion.sim.numeric import (
+    Vector,
+    blend,
+    inlined,
+    pulse,
+    smooth,
+    step,
+    uniform,
+    value_noise,
+)
+from adafusion.sim.town.buildings import (
     BRICK,
     CURTAIN,
     DOORS,
@@ -25,17 +35,7 @@ from adafusion.sim.buildings import (
     STONE,
     TIMBER,
 )
-from adafusion.sim.numeric import (
-    Vector,
-    blend,
-    inlined,
-    pulse,
-    smooth,
-    step,
-    uniform,
-    value_noise,
-)
-from adafusion.sim.shapes import (
+from adafusion.sim.town.shapes import (
     FLOOR,
     GROUND,
     PITCH,

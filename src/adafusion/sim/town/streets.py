@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Float64
 
-from adafusion.sim.passages import COURT_HALF_M, court_rects, lay_out_passages
-from adafusion.sim.plan import (
+from adafusion.sim.town.passages import COURT_HALF_M, court_rects, lay_out_passages
+from adafusion.sim.town.plan import (
     INDOORS,
     KERB_M,
     PATH_HALF_M,
@@ -30,7 +30,7 @@ from adafusion.sim.plan import (
     touches,
     trimmed,
 )
-from adafusion.sim.shapes import Material, disc
+from adafusion.sim.town.shapes import Material, disc
 
 MARGIN_M = 110.0  # open land around the town
 CLEAR_M = 9.5  # of a crossing: kerbs begin there

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Float64
 
-from adafusion.sim.conditions import Conditions
 from adafusion.sim.numeric import (
     Vector,
     blend,
@@ -21,8 +20,9 @@ from adafusion.sim.numeric import (
     step,
     value_noise,
 )
-from adafusion.sim.scene import Scene, zone_of
-from adafusion.sim.weather import rain_extinction
+from adafusion.sim.run.conditions import Conditions
+from adafusion.sim.sensing.scene import Scene, zone_of
+from adafusion.sim.sensing.weather import rain_extinction
 
 LAMPS = 16  # the lamps nearest to the camera light the picture
 LAMP_RADIANCE = 0.12  # of the part of a lamp that shines

@@ -14,8 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from adafusion.sim.bvh import Stack, new_stack
-from adafusion.sim.lighting import (
+from adafusion.sim.numeric import Vector, dot, inlined, kernel, smooth, step, unit
+from adafusion.sim.run.vehicles import LIT
+from adafusion.sim.sensing.bvh import Stack, new_stack
+from adafusion.sim.sensing.lighting import (
     LAMP_RADIANCE,
     Light,
     add_headlights,
@@ -24,8 +26,7 @@ from adafusion.sim.lighting import (
     is_on,
     sky_radiance,
 )
-from adafusion.sim.numeric import Vector, dot, inlined, kernel, smooth, step, unit
-from adafusion.sim.scene import (
+from adafusion.sim.sensing.scene import (
     Scene,
     blocked,
     outdoor_length,
@@ -33,10 +34,9 @@ from adafusion.sim.scene import (
     trace_scene,
     zone_of,
 )
-from adafusion.sim.shapes import STYLE, Material
-from adafusion.sim.textures import surface
-from adafusion.sim.vehicles import LIT
-from adafusion.sim.weather import SNOW_RGB, snow_on, soaked, water_on
+from adafusion.sim.sensing.textures import surface
+from adafusion.sim.sensing.weather import SNOW_RGB, snow_on, soaked, water_on
+from adafusion.sim.town.shapes import STYLE, Material
 
 FAR_M = 400.0
 _LEAF, _CAR_BODY = int(Material.LEAF), int(Material.CAR_BODY)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from adafusion.sim.buildings import BUILDING_TYPES, PLAIN
-from adafusion.sim.paint import add_paint, paint_wall
-from adafusion.sim.passages import COURT_HALF_M, COURT_M, PASSAGE_KINDS
-from adafusion.sim.plan import Passage, Plan
-from adafusion.sim.shapes import Material, SoupBuilder
+from adafusion.sim.town.buildings import BUILDING_TYPES, PLAIN
+from adafusion.sim.town.paint import add_paint, paint_wall
+from adafusion.sim.town.passages import COURT_HALF_M, COURT_M, PASSAGE_KINDS
+from adafusion.sim.town.plan import Passage, Plan
+from adafusion.sim.town.shapes import Material, SoupBuilder
 
 _CONCRETE = (0.42, 0.41, 0.39)
 _PAVING = (0.36, 0.35, 0.33)
