@@ -164,7 +164,7 @@ def test_it_goes_on_where_it_was_cut_off(dataset: Dataset, tmp_path: Path) -> No
         ({"runs": ["noon"]}, "'noon'"),
         ({"runs": ["day", "day"]}, "each once"),
         ({"runs": []}, "one or more"),
-        ({"profile": "huge"}, "tiny, small, full"),
+        ({"profile": "huge"}, "tiny, small, compact, full"),
         ({"regions": "none"}, "all-test"),
         ({"places": 0}, "places"),
         ({"workers": 0}, "workers"),

@@ -76,7 +76,7 @@ def test_between_two_conditions_light_moves_geometrically() -> None:
     bright = replace(DAY, sun_rgb=(1.0, 1.0, 1.0), rain_mm_h=0.0, reverse=True)
     dim = replace(NIGHT, sun_rgb=(0.01, 0.0, 1.0), rain_mm_h=10.0)
     middle = between(bright, dim, 0.5)
-    assert middle.sun_rgb == pytest.approx((0.1, 0.001, 1.0), rel=1e-3)
+    assert middle.sun_rgb == pytest.approx((0.1, 10**-3.5, 1.0), rel=1e-3)
     assert middle.rain_mm_h == 5.0
     assert middle.reverse
     assert between(bright, dim, 0.0) == bright

@@ -13,7 +13,7 @@ from adafusion.datasets.splits import region_of
 from adafusion.geometry import is_rigid
 from adafusion.sim.regions import GUARD_M, split_three, split_two
 from adafusion.sim.run.conditions import PRESETS
-from adafusion.sim.run.route import drive, plan_route, pose_along
+from adafusion.sim.run.route import YAW_RAD_S, drive, plan_route, pose_along
 from adafusion.sim.studio import PROFILES
 from adafusion.sim.town.world import World, build_world
 
@@ -40,6 +40,7 @@ def test_keyframes_are_ten_metres_apart(world: World) -> None:
     way = drive(world, DAY, 1)
     steps = np.hypot(*np.diff(way.T_world_body[:, :2, 3], axis=0).T)
     assert 8.5 < np.median(steps) < 11.0
+    assert steps.min() > 5.0
     assert steps.max() < 16.0
 
 
@@ -97,7 +98,9 @@ def test_speed_and_turning_are_those_of_the_path(world: World) -> None:
     turned = np.arctan2(
         *(np.einsum("nji,njk->nik", before[:, :3, :3], after[:, :3, :3])[:, [1, 0], 0].T)
     )
-    np.testing.assert_allclose(turned / 0.1, way.yaw_rate_rad_s[1:-1], atol=0.12)
+    np.testing.assert_allclose(
+        np.clip(turned / 0.1, -YAW_RAD_S, YAW_RAD_S), way.yaw_rate_rad_s[1:-1], atol=0.12
+    )
 
 
 def test_a_run_in_reverse_passes_the_same_places_the_other_way(world: World) -> None:
@@ -143,8 +146,10 @@ def test_the_ins_is_off_by_about_a_metre_and_drifts(world: World) -> None:
     assert all(is_rigid(T) for T in way.T_world_ins)
     assert 0.3 < np.hypot(*off[:, :2].T).mean() < 3.0
     bends = np.linalg.norm(np.diff(off[:, :2], 2, axis=0), axis=1) / 10.0
-    assert bends.max() < np.radians(1.0), "it drifts, and hardly bends the track"
-    assert not np.allclose(off, drive(world, DAY, 4).T_world_ins[: len(off), :3, 3])
+    assert bends.max() < np.radians(1.5), "it drifts, and hardly bends the track"
+    other = drive(world, DAY, 4)
+    again = other.T_world_ins[:, :3, 3] - other.T_world_body[:, :3, 3]
+    assert not np.allclose(off[:50], again[:50])
 
 
 def test_timestamps_rise_and_tell_nothing_of_the_place(world: World) -> None:

@@ -106,7 +106,7 @@ def test_a_frozen_camera_shows_an_earlier_frame(seen: Studio) -> None:
         ({"runs": ["noon"]}, "'noon'"),
         ({"runs": ["day", "day"]}, "each once"),
         ({"runs": {}}, "one or more"),
-        ({"profile": "huge"}, "tiny, small, full"),
+        ({"profile": "huge"}, "tiny, small, compact, full"),
         ({"places": 0}, "places"),
     ],
 )

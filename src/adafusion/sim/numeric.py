@@ -6,8 +6,11 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import itertools
 import math
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import TypeVar
 
 import numba
@@ -52,6 +55,9 @@ def inlined(function: F) -> F:
 def _compiled(function: F, *, forceinline: bool) -> F:
     # a run-time type checker may have wrapped the function; numba needs the bare one
     bare = inspect.unwrap(function)
+    # numba keeps machine code under this name, and looks at the time of this one file alone: a
+    # change in a part that is compiled in from another file must change the name
+    bare.__qualname__ = f"{bare.__qualname__}-{_sources()}"
     return numba.njit(
         cache=True,
         nogil=True,
@@ -59,6 +65,17 @@ def _compiled(function: F, *, forceinline: bool) -> F:
         fastmath={"contract", "arcp", "nsz", "afn"},
         forceinline=forceinline,
     )(bare)
+
+
+@cache
+def _sources() -> str:
+    """Identity of the sources that kernels are compiled from."""
+    here = Path(__file__)
+    parts = (here.with_name(name).glob("*.py") for name in ("town", "run", "sensing"))
+    digest = hashlib.sha256()
+    for path in [here, *sorted(itertools.chain(*parts))]:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:8]
 
 
 @inlined

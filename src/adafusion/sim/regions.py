@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which part of a world teaches, which chooses and which judges: never within sight of another."""
+"""Which part of a world teaches, which chooses and which judges: no match reaches another part."""
 
 from __future__ import annotations
 

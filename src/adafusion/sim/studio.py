@@ -23,6 +23,7 @@ from adafusion.sim.sensing.camera import Camera, Motion, photograph
 from adafusion.sim.sensing.lidar import HDL_32E, HDL_64E, VLP_16, Lidar, scan
 from adafusion.sim.sensing.scene import Scene, build_scene, build_static, with_traffic
 from adafusion.sim.town.plan import WorldSpec
+from adafusion.sim.town.shapes import Soup
 from adafusion.sim.town.world import World, build_world
 from adafusion.types import Observation, UserError
 
@@ -38,6 +39,7 @@ class Profile:
     lidar: Lidar
 
 
+_SMALL_TOWN = WorldSpec(seed=0, columns=3, rows=3, spacing_m=90.0, corridor_m=160.0)
 PROFILES: dict[str, Profile] = {
     "tiny": Profile(
         world=WorldSpec(
@@ -54,13 +56,12 @@ PROFILES: dict[str, Profile] = {
         camera=Camera(size=(75, 100)),
         lidar=VLP_16,
     ),
-    "small": Profile(
-        world=WorldSpec(seed=0, columns=3, rows=3, spacing_m=80.0, corridor_m=140.0),
-        camera=Camera(size=(150, 200)),
-        lidar=HDL_32E,
+    "small": Profile(world=_SMALL_TOWN, camera=Camera(size=(150, 200)), lidar=HDL_32E),
+    "compact": Profile(  # the small town, finely seen
+        world=_SMALL_TOWN, camera=Camera(size=(300, 400)), lidar=HDL_64E
     ),
     "full": Profile(
-        world=WorldSpec(seed=0, columns=5, rows=6, spacing_m=84.0, corridor_m=140.0),
+        world=WorldSpec(seed=0, columns=5, rows=6, spacing_m=84.0, corridor_m=160.0),
         camera=Camera(size=(300, 400)),
         lidar=HDL_64E,
     ),
@@ -139,17 +140,22 @@ class Studio:
     def _static(self) -> Bvh:
         return build_static(self.world)
 
+    def parked(self, run: str) -> Soup:
+        """The cars that stand at the kerbs during a run."""
+        density, path = self.conditions[run].parked_density, self.drive(run).path
+        return park_vehicles(self.world, self._seed(run, "parked"), density, path)
+
+    def traffic(self, run: str) -> Traffic:
+        """Who is on the move during a run."""
+        c = self.conditions[run]
+        seed = self._seed(run, "traffic")
+        return plan_traffic(self.world, seed, c.traffic_density, c.people_density)
+
     def scene_at(self, run: str, time_us: int, T_world_body: Float[np.ndarray, "4 4"]) -> Scene:
         """The world as a run finds it: its parked cars, and what moves near a place at a time."""
         if self._set is None or self._set[0] != run:
-            c = self.conditions[run]
-            parked = park_vehicles(
-                self.world, self._seed(run, "parked"), c.parked_density, self.drive(run).path
-            )
-            traffic = plan_traffic(
-                self.world, self._seed(run, "traffic"), c.traffic_density, c.people_density
-            )
-            self._set = run, build_scene(self.world, self._static, parked), traffic
+            scene = build_scene(self.world, self._static, self.parked(run))
+            self._set = run, scene, self.traffic(run)
         _, scene, traffic = self._set
         elapsed_s = (time_us - int(self.drive(run).path_time_us[0])) * 1e-6
         return with_traffic(scene, traffic_at(self.world, traffic, elapsed_s, T_world_body))
@@ -182,7 +188,7 @@ class Studio:
             self.camera,
             c,
             self.loaded(run, way.T_world_body[k]),
-            self._frame_seed(run, k),
+            keyed_seed(self.job.seed, "run", run, "camera", k),
             self.run_seed(run),
             Motion(float(way.speed_m_s[k]), float(way.yaw_rate_rad_s[k])),
         )
@@ -194,7 +200,7 @@ class Studio:
             self.lidar,
             self.conditions[run],
             self.loaded(run, self.drive(run).T_world_body[k]),
-            self._frame_seed(run, k),
+            keyed_seed(self.job.seed, "run", run, "lidar", k),
             self.run_seed(run),
         )
 
@@ -217,6 +223,3 @@ class Studio:
         """The seed of one factor: as the conditions give it, else the run's own."""
         given = getattr(self.conditions[run], f"{of}_seed")
         return self.run_seed(run) if given is None else int(given)
-
-    def _frame_seed(self, run: str, k: int) -> int:
-        return keyed_seed(self.job.seed, "run", run, "frame", k)

@@ -145,15 +145,16 @@ PRESETS: dict[str, Conditions] = {
         window_rgb=(0.10, 0.075, 0.045),
         fog_per_m=0.001,
     ),
-    "night": Conditions(
+    "night": Conditions(  # street lighting of about 10 lux, where noon has 100,000
         sun_rgb=(0.0, 0.0, 0.0),
-        zenith_rgb=(0.00006, 0.00007, 0.00010),
-        horizon_rgb=(0.00022, 0.00020, 0.00018),
+        zenith_rgb=(1.2e-6, 1.4e-6, 2.0e-6),
+        horizon_rgb=(4.4e-6, 4.0e-6, 3.6e-6),
         cloud_cover=0.5,
-        cloud_rgb=(0.00022, 0.00019, 0.00016),
-        street_lamps=0.25,
-        headlights=0.8,
-        lit_windows=0.12,
+        cloud_rgb=(4.4e-6, 3.8e-6, 3.2e-6),
+        street_lamps=0.025,
+        headlights=0.15,
+        lit_windows=0.06,
+        window_rgb=(0.0025, 0.0019, 0.0011),
         parked_density=0.5,
         traffic_density=0.08,
         people_density=0.06,
@@ -169,8 +170,8 @@ PRESETS: dict[str, Conditions] = {
         headlights=1.0,
         lit_windows=0.15,
         fog_per_m=0.035,
-        lidar_fog_per_m=0.02,
-        lidar_scatter_per_m=0.003,
+        lidar_fog_per_m=0.035,
+        lidar_scatter_per_m=0.006,
     ),
     "rain": replace(
         _OVERCAST,
@@ -187,7 +188,7 @@ PRESETS: dict[str, Conditions] = {
     ),
     "snow": replace(
         _OVERCAST,
-        snow_cover=0.85,
+        snow_cover=0.8,
         foliage=0.08,
         autumn=0.6,
         fog_per_m=0.004,
@@ -246,6 +247,7 @@ def vary(conditions: Conditions, rng: np.random.Generator) -> Conditions:
         cloud_cover=share(c.cloud_cover, 0.6, 1.6),
         lit_windows=share(c.lit_windows, 0.7, 1.3),
         fog_per_m=share(c.fog_per_m, 0.75, 1.25),
+        other_lane=min(c.other_lane + float(rng.uniform(0.0, 0.2)), 1.0),
         parked_density=share(c.parked_density, 0.6, 1.4),
         traffic_density=share(c.traffic_density, 0.5, 1.5),
         people_density=share(c.people_density, 0.5, 1.5),
@@ -260,7 +262,7 @@ def between(a: Conditions, b: Conditions, t: float) -> Conditions:
     """
     if not 0.0 <= t <= 1.0:
         raise ValueError(f"t = {t} is not in [0, 1]")
-    floor = 1e-6  # darker than any night; a zero has no logarithm
+    floor = 1e-7  # darker than any night; a zero has no logarithm
 
     def geometric(x: float, y: float) -> float:
         if t in (0.0, 1.0):

@@ -23,6 +23,7 @@ from adafusion.sim.town.world import World, zone_labels
 STEP_M = 0.5  # of the dense path
 LANE_M = -1.2  # lateral middle of the lane driven: right of the street's middle line
 LEAD_M = 15.0  # of route beyond the last of a given number of places
+YAW_RAD_S = 1.0  # nobody turns faster
 SIDEWAYS_M_S2 = 1.5  # acceleration that a driver allows in a bend
 
 
@@ -131,7 +132,7 @@ def drive(
         return smooth / max(float(smooth.std()), 1e-9)
 
     rng = keyed_rng(way_seed, "drive")
-    bias = float(rng.uniform(-0.8, 0.8))
+    bias = float(rng.uniform(-1.2, 1.2))
     shift = conditions.path_offset_m * np.tanh(bias + 0.5 * wander("offset", 25.0))
     if conditions.other_lane > 0.0:
         noise = wander("lane", 20.0)
@@ -149,7 +150,10 @@ def drive(
     # two rounds of the same spacing would put their frames at the same points
     keys = np.arange(float(rng.uniform(0.0, keyframe_m)), driven[-1], keyframe_m)
     keys = keys + rng.uniform(-0.15, 0.15, len(keys)) * keyframe_m
-    rows = np.unique(np.clip(np.searchsorted(driven, keys), 0, len(s) - 1))[:places]
+    rows = np.unique(np.clip(np.searchsorted(driven, keys), 0, len(s) - 1))
+    # a turn on the spot folds the path: what comes back to the frame before is no new place
+    apart = np.hypot(*np.diff(path[rows], axis=0, prepend=np.inf).T) > 0.5 * keyframe_m
+    rows = rows[apart][:places]
     speed = (4.5 + 1.5 * np.tanh(wander("speed", 40.0))) * (1.0 - 0.5 * narrow)
     step = np.maximum(np.diff(driven, prepend=-STEP_M), 0.05)
     bend = np.abs(np.gradient(gaussian_filter1d(heading, 2.0 / STEP_M))) / step
@@ -164,7 +168,7 @@ def drive(
         begin + np.round(clock[rows] * 1e6).astype(np.int64),
         zone_labels(world, path[rows]),
         speed[rows],
-        np.gradient(heading, clock)[rows],
+        np.clip(np.gradient(heading, clock)[rows], -YAW_RAD_S, YAW_RAD_S),
         path,
         heading,
         tilt,

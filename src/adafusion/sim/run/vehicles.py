@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from adafusion.sim.numeric import keyed_rng
 from adafusion.sim.run.instances import Instance, place, standing
-from adafusion.sim.town.plan import along, leftward, point_on
+from adafusion.sim.town.plan import ROAD_HALF_M, along, leftward, point_on
 from adafusion.sim.town.shapes import Material, Soup, SoupBuilder, rectangle
 from adafusion.sim.town.world import World
 
@@ -325,6 +325,15 @@ def _fan(outline: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "k 4 3"]:
     return np.array([outline[[0, i, i + 1, min(i + 2, n - 1)]] for i in range(1, n - 1, 2)])
 
 
+def _on_another_road(world: World, own: int, xy: Float64[np.ndarray, " 2"]) -> bool:
+    """Whether a place at the kerb of street `own` lies on an oblique neighbour."""
+    return any(
+        np.hypot(*(street.line - xy).T).min() < ROAD_HALF_M + 1.0
+        for e, street in enumerate(world.streets)
+        if e != own and street.kind == "street"
+    )
+
+
 def park_vehicles(world: World, seed: int, density: float, path: Float[np.ndarray, "n 2"]) -> Soup:
     """Vehicles at the kerbs in `density` of the places, some streets fuller than others.
 
@@ -344,7 +353,7 @@ def park_vehicles(world: World, seed: int, density: float, path: Float[np.ndarra
                     continue
                 xy, yaw = point_on(street.line, s + float(rng.uniform(-0.4, 0.4)))
                 xy = xy + leftward(yaw) * side * (PARKING_M + float(rng.uniform(-0.15, 0.15)))
-                if way.query(xy)[0] <= CLEAR_M:
+                if way.query(xy)[0] <= CLEAR_M or _on_another_road(world, e, xy):
                     continue
                 # on the left of the line they come towards us
                 yaw += (math.pi if side > 0 else 0.0) + float(rng.normal(0.0, 0.02))

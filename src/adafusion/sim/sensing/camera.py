@@ -45,7 +45,7 @@ class Camera:
     blur_px: float = 0.45  # sigma of the lens
     full_well: float = 9000.0  # electrons at white, at gain 1
     sensitivity: float = 7.2e6  # electrons a second and unit of radiance
-    longest_s: float = 0.03
+    longest_s: float = 0.015  # a moving camera may not expose for longer
     shortest_s: float = 2e-5
     largest_gain: float = 4.5
     read_noise: float = 4.0  # electrons

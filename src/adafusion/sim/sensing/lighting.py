@@ -49,6 +49,7 @@ class Light(NamedTuple):
     lit_windows: float
     window: Vector
     window_seed: int
+    street_lamps: float
     headlights: float
 
 
@@ -86,6 +87,7 @@ def light_of(c: Conditions, run_seed: int) -> Light:
         lit_windows=float(c.lit_windows),
         window=c.window_rgb,
         window_seed=keyed_seed(run_seed if c.window_seed is None else c.window_seed, "windows"),
+        street_lamps=float(c.street_lamps),
         headlights=float(c.headlights),
     )
 
@@ -169,12 +171,3 @@ def ambient_on(scene: Scene, light: Light, zone: int, n: Vector) -> Vector:
         bounce = math.pi * scene.zones[zone, 6]
         return bounce, 0.97 * bounce, 0.88 * bounce
     return blend(light.below, light.above, 0.5 + 0.5 * n[2])
-
-
-@inlined
-def is_on(lamps: Float64[np.ndarray, "k 7"], p: Vector) -> bool:
-    """Whether one of the lamps that shine is at p; one that is off is a white cover."""
-    nearest = math.inf
-    for k in range(len(lamps)):
-        nearest = min(nearest, abs(lamps[k, 0] - p[0]) + abs(lamps[k, 1] - p[1]))
-    return nearest < 1.5

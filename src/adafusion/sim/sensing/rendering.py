@@ -23,7 +23,6 @@ from adafusion.sim.sensing.lighting import (
     add_headlights,
     add_lamps,
     ambient_on,
-    is_on,
     sky_radiance,
 )
 from adafusion.sim.sensing.scene import (
@@ -239,7 +238,8 @@ def _look(
     if zone < 0 and (glass > 0.0 or material == _CAR_BODY):
         _add_mirror(light, d, n, cosine, glass, 1.0 - white, sun > 0.0, out)
     if material == _LAMP:
-        power = LAMP_RADIANCE if is_on(lamps, p) else 0.0
+        # indoors always on; one that is off is a white cover
+        power = LAMP_RADIANCE if zone >= 0 or light.street_lamps > 0.0 else 0.0
         for c in range(3):
             out[c] += glow[c] * power
     elif material == _CAR_LIGHT:  # a lens that throws some daylight back
