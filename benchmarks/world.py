@@ -33,7 +33,7 @@ from adafusion.sim.studio import PROFILES, Studio, conditions_of, make_job
 
 SEED = 3
 RUNS = ("day", "night", "fog")
-TARGET_MS = {"tiny": 30, "small": None, "full": 250}
+TARGET_MS = {"tiny": 30, "full": 250}
 
 
 def cpu_ms(step: Callable[[], object]) -> float:
@@ -69,7 +69,7 @@ def measure(profile: str, frames: int, folder: Path, *, moving: bool) -> str:
             cost.append((moving_ms, image_ms, scan_ms, files_ms))
     moved, image, cloud, files = np.mean(cost, axis=0)
     h, w = studio.camera.size
-    lidar, target = studio.lidar, TARGET_MS[profile]
+    lidar, target = studio.lidar, TARGET_MS.get(profile)
     return (
         f"| {profile}{'' if moving else ', nothing moves'} | {h}x{w} + {lidar.beams}x{lidar.steps} "
         f"| {len(studio.world.soup.corners):,} | {world_ms:,.0f} | {moved:.1f} | {image:.1f} "

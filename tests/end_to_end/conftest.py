@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
+from adafusion.cli import main
 from adafusion.datasets import Dataset
 from adafusion.models import ModelConfig
 from adafusion.preprocess import ImageSettings, Preprocess, VoxelGrid
@@ -37,3 +39,27 @@ def tiny_model() -> ModelConfig:
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where all end-to-end tests keep preprocessed frames."""
     return tmp_path_factory.mktemp("cache")
+
+
+class Said:
+    """What a command returned and printed."""
+
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+
+@pytest.fixture
+def type_in(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, cache: Path):
+    """Run a command line in this process."""
+    monkeypatch.setenv("ADAFUSION_CACHE", str(cache))
+
+    def run(*words: object) -> Said:
+        monkeypatch.setattr(sys, "argv", ["adafusion", *map(str, words)])
+        try:
+            main()
+            code = 0
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        return Said(code, *capfd.readouterr())
+
+    return run

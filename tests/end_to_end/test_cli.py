@@ -15,7 +15,6 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from adafusion.cli import main
 from adafusion.datasets import Dataset
 from adafusion.mapping import PlaceMap
 from adafusion.models import AdaFusion, ModelConfig, load_model, save_model
@@ -31,32 +30,12 @@ COMMANDS = [
     ["map", "info"],
     ["locate"],
     ["import-released"],
+    ["world", "list"],
+    ["world", "render"],
+    ["world", "sheet"],
+    ["world", "export"],
     ["config", "show"],
 ]
-
-
-class Said:
-    """What a command returned and printed."""
-
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
-
-
-@pytest.fixture
-def type_in(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, cache: Path):
-    """Run a command line in this process."""
-    monkeypatch.setenv("ADAFUSION_CACHE", str(cache))
-
-    def run(*words: object) -> Said:
-        monkeypatch.setattr(sys, "argv", ["adafusion", *map(str, words)])
-        try:
-            main()
-            code = 0
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        return Said(code, *capfd.readouterr())
-
-    return run
 
 
 @pytest.fixture(scope="module")

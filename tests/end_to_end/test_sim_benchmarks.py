@@ -4,15 +4,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 
-from adafusion.cli import main
-from adafusion.datasets import Dataset
+from adafusion.datasets import Dataset, open_dataset
 from adafusion.sim import benchmarks
 from adafusion.sim.benchmarks import (
     BENCHMARKS,
@@ -94,24 +92,14 @@ def test_its_folder_is_named_after_what_decides_its_bytes(
     assert benchmark_folder(TINY, cache) != before
 
 
-def run(*arguments: str) -> int:
-    """Exit code of a command."""
-    before, sys.argv = sys.argv, ["adafusion", *arguments]
-    try:
-        main()
-    except SystemExit as end:
-        return int(end.code or 0)
-    finally:
-        sys.argv = before
-    return 0
-
-
 def test_commands_take_the_name_for_the_dataset(
-    tiny: Dataset, cache: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    type_in, tiny: Dataset, cache: Path, tmp_path: Path
 ) -> None:
-    assert run("evaluate", TINY, str(tmp_path / "out"), "--model", "lidar-s", "--cache", str(cache),
-               "--no-report") == 0  # fmt: skip
-    assert "lidar-s" in capsys.readouterr().out
+    said = type_in(
+        "evaluate", TINY, tmp_path / "out", "--model", "lidar-s", "--cache", cache, "--no-report"
+    )
+    assert said.code == 0, said.err
+    assert "lidar-s" in said.out
 
 
 @pytest.mark.parametrize(
@@ -123,17 +111,96 @@ def test_commands_take_the_name_for_the_dataset(
     ],
 )
 def test_a_wrong_name_is_answered_with_the_choices(
-    name: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    type_in, name: str, words: str, tmp_path: Path
 ) -> None:
-    assert run("evaluate", name, str(tmp_path / "out")) == 2
-    assert words in capsys.readouterr().err
+    said = type_in("evaluate", name, tmp_path / "out")
+    assert said.code == 2
+    assert words in said.err
 
 
-def test_the_list_says_what_is_rendered(
-    tiny: Dataset, cache: Path, capsys: pytest.CaptureFixture[str]
+def test_the_list_says_what_is_rendered(type_in, tiny: Dataset, cache: Path) -> None:
+    said = type_in("world", "list", "--cache", cache)
+    assert said.code == 0
+    assert str(tiny.root) in said.out
+    assert "world-v1/train: world" in said.out
+    assert "not rendered yet" in said.out
+
+
+def test_the_list_checks_what_this_installation_builds(
+    type_in, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert run("world", "list", "--cache", str(cache)) == 0
-    out = capsys.readouterr().out
-    assert str(tiny.root) in out
-    assert "world-v1/train: world" in out
-    assert "not rendered yet" in out
+    known = BENCHMARKS["world-v1-tiny"]
+    part = replace(known.parts["test"], geometry="0" * 16)
+    wrong = replace(known, parts={"train": known.parts["train"], "test": part})
+    monkeypatch.setattr(benchmarks, "BENCHMARKS", {"world-v1-tiny": wrong})
+    said = type_in("world", "list", "--check")
+    assert said.code == 2
+    assert "world-v1-tiny/train: world 1101" in said.out
+    assert "this installation builds it" in said.out
+    assert "MISMATCH" in said.out
+    assert "world-v1-tiny/test" in said.err
+
+
+def test_a_whole_benchmark_is_rendered_by_its_name(type_in, tiny: Dataset, cache: Path) -> None:
+    said = type_in("world", "render", TINY, "--cache", cache)
+    assert said.code == 0
+    assert f"{len(tiny.frames)} frames (synthetic)" in said.out
+    said = type_in("world", "render", "world-v0", "--cache", cache)
+    assert said.code == 2
+    assert "world-v1-small/test" in said.err
+
+
+def test_a_sheet_shows_places_under_conditions(type_in, tmp_path: Path) -> None:
+    out = tmp_path / "sheet.html"
+    said = type_in(
+        "world", "sheet", out, "--profile", "tiny", "--conditions", "day,night", "--places", "3"
+    )
+    assert said.code == 0, said.err
+    assert "synthetic" in out.read_text(encoding="utf-8")
+    said = type_in("world", "sheet", tmp_path / "sheet.pdf", "--profile", "tiny")
+    assert said.code == 2
+    assert "ends in .png or .html" in said.err
+
+
+def test_a_drive_is_exported_by_name(type_in, tmp_path: Path) -> None:
+    words = ["--profile", "tiny", "--places", "2", "--runs", "day"]
+    said = type_in("world", "export", "nclt", tmp_path / "nclt", *words)
+    assert said.code == 0, said.err
+    assert "SYNTHETIC" in said.err
+    assert (tmp_path / "nclt" / "manifest.json").exists()
+    said = type_in("world", "export", "kitti", tmp_path / "kitti", *words)
+    assert said.code == 2
+    assert "choose from nclt, robotcar, pointnetvlad" in said.err
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("fog_per_m=5", "fog_per_m = 5.0 is not in [0, 1]"),
+        ("fog_m=0.1", "did you mean fog_per_m?"),
+        ("dusk.fog_per_m=0.1", "no run 'dusk'; choose from day, night"),
+    ],
+)
+def test_a_factor_that_is_wrong_is_named(type_in, change: str, words: str, tmp_path: Path) -> None:
+    said = type_in("simulate", tmp_path / "none", "--profile", "tiny", "--set", change)
+    assert said.code == 2
+    assert words in said.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_factors_are_set_for_all_runs_or_for_one(type_in, tmp_path: Path) -> None:
+    said = type_in(
+        "simulate", tmp_path / "hazy", "--profile", "tiny", "--places", "1", "--runs", "day,night",
+        "--set", "foliage=0.25", "--set", "night.fog_per_m=0.5", "--workers", "1",
+    )  # fmt: skip
+    assert said.code == 0, said.err
+    conditions = open_dataset(tmp_path / "hazy").info.sensors["conditions"]
+    assert conditions["day"]["foliage"] == conditions["night"]["foliage"] == 0.25
+    assert conditions["night"]["fog_per_m"] == 0.5 != conditions["day"]["fog_per_m"]
+
+
+def test_a_preset_shows_its_factors(type_in) -> None:
+    said = type_in("config", "show", "night", "fog_per_m=0.25")
+    assert said.code == 0
+    assert "fog_per_m: 0.25" in said.out
+    assert type_in("config", "show", "noon").code == 2
