@@ -24,21 +24,14 @@ import numpy as np
 from adafusion.cli.common import bar, cache_folder, open_data
 from adafusion.datasets import Dataset
 from adafusion.evaluation import Judged, dataset_splits, evaluate_splits, judge
-from adafusion.models import AdaFusion, load_model
+from adafusion.models import load_model
 from adafusion.provenance import git_commit
-from adafusion.training import TrainConfig, build_model
+from adafusion.training import untrained_twin
 from adafusion.types import Split
 
 DARK = ("night",)  # presets that are no normal run
 INDOORS = ("corridor", "hall", "tunnel")  # lit day and night
 INTERVAL_SEED = 0
-
-
-def untrained(model: AdaFusion, seed: int = 0) -> AdaFusion:
-    """The network that a training of this model would start from."""
-    twin = build_model(TrainConfig(model=model.config, norms=False, seed=seed)).eval()
-    twin.name = f"{model.name}, untrained"
-    return twin
 
 
 def preset_of(run: str) -> str:
@@ -124,7 +117,7 @@ def main() -> None:
     cache = cache_folder(arguments.cache)
     dataset = open_data(arguments.dataset, cache)
     trained = [load_model(arguments.image), load_model(arguments.lidar)]
-    models = [twin for model in trained for twin in (model, untrained(model))]
+    models = [twin for model in trained for twin in (model, untrained_twin(model))]
     splits = dataset_splits(dataset, "cross-run")
     judged = judge(models, dataset, splits, cache, progress=bar)
     zones = np.array([frame.zone for frame in dataset.frames])

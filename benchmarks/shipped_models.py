@@ -20,17 +20,9 @@ from adafusion.datasets import open_dataset
 from adafusion.evaluation import dataset_splits, evaluate_splits, judge
 from adafusion.models import SHIPPED, AdaFusion, load_model
 from adafusion.provenance import git_commit
-from adafusion.training import TrainConfig, build_model
+from adafusion.training import untrained_twin
 
-TWIN_SEED = 0
 INTERVAL_SEED = 0
-
-
-def untrained(model: AdaFusion) -> AdaFusion:
-    """The network that a training of this model would start from."""
-    twin = build_model(TrainConfig(model=model.config, norms=False, seed=TWIN_SEED)).eval()
-    twin.name = f"{model.name}, untrained"
-    return twin
 
 
 def main() -> None:
@@ -82,7 +74,7 @@ def main() -> None:
 
 
 def _both(model: AdaFusion) -> list[AdaFusion]:
-    return [model, untrained(model)]
+    return [model, untrained_twin(model)]
 
 
 if __name__ == "__main__":

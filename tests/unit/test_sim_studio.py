@@ -27,7 +27,7 @@ def seen() -> Callable[[str], Studio]:
         "again": BASE,
         "cars": replace(BASE, parked_seed=2, parked_density=0.9),
         "people": replace(BASE, traffic_seed=2, people_density=0.9, traffic_density=0.9),
-        "high": replace(BASE, height_m=0.4),
+        "high": replace(BASE, lift_m=0.4),
         "dead": replace(BASE, lidar_dead=True),
         "black": replace(BASE, camera_fault="black"),
         "rarely black": replace(BASE, camera_fault="black", camera_fault_share=0.3),

@@ -187,7 +187,7 @@ class Studio:
             self.world.lamps,
             self.camera,
             c,
-            self.loaded(run, way.T_world_body[k]),
+            self.lifted(run, way.T_world_body[k]),
             keyed_seed(self.job.seed, "run", run, "camera", k),
             self.run_seed(run),
             Motion(float(way.speed_m_s[k]), float(way.yaw_rate_rad_s[k])),
@@ -199,15 +199,15 @@ class Studio:
             self._scene_of(run, k),
             self.lidar,
             self.conditions[run],
-            self.loaded(run, self.drive(run).T_world_body[k]),
+            self.lifted(run, self.drive(run).T_world_body[k]),
             keyed_seed(self.job.seed, "run", run, "lidar", k),
             self.run_seed(run),
         )
 
-    def loaded(self, run: str, T_world_body: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-        """Where the sensors take the body to be: `height_m` is a load no calibration knows of."""
+    def lifted(self, run: str, T_world_body: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+        """Where a body with its sensors really is: `lift_m` above what any calibration knows."""
         T = T_world_body.copy()
-        T[:3, 3] += self.conditions[run].height_m * T[:3, 2]
+        T[:3, 3] += self.conditions[run].lift_m * T[:3, 2]
         return T
 
     def run_seed(self, run: str) -> int:

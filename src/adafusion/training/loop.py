@@ -232,6 +232,13 @@ def build_model(config: TrainConfig) -> AdaFusion:
     return model
 
 
+def untrained_twin(model: AdaFusion, seed: int = 0) -> AdaFusion:
+    """The network that a training of this model would start from: what training has to beat."""
+    twin = build_model(TrainConfig(model=model.config, norms=False, seed=seed)).eval()
+    twin.name = f"{model.name}, untrained"
+    return twin
+
+
 def take_branches(model: AdaFusion, source: AdaFusion) -> None:
     """Copy the branches that `source` has into `model`."""
     for name in ("image_net", "voxel_net"):

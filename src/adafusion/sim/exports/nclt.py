@@ -201,7 +201,7 @@ def _scan(studio: Studio, run: str, utime: int) -> bytes:
     scene = studio.scene_at(run, utime, T_world_body)
     T_body_lidar = np.eye(4)
     T_body_lidar[:3, 3] = T_UP_DOWN[:3, :3] @ BODY_VELODYNE_M
-    T_world_lidar = studio.loaded(run, T_world_body) @ T_body_lidar
+    T_world_lidar = studio.lifted(run, T_world_body) @ T_body_lidar
     ranges = scan_ranges(
         scene,
         lidar,

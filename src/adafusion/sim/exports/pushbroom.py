@@ -71,7 +71,7 @@ class Sweep:
     def _trace(self, k: int) -> Float64[np.ndarray, "n 2"]:
         """Points of the k-th scan in the fan's plane, metres; what gave no echo is left out."""
         time_us, conditions = int(self.time_us[k]), self._studio.conditions[self._run]
-        T = self._studio.loaded(self._run, self.T_world_body[k]) @ mounting(LMS_FRONT)
+        T = self._studio.lifted(self._run, self.T_world_body[k]) @ mounting(LMS_FRONT)
         plane = fan()
         x, y, z = T[:3, 3].tolist()
         ranges = measure(

@@ -37,7 +37,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "path_offset_m": (0.0, 3.0),
     "other_lane": (0.0, 1.0),
     "heading_noise_rad": (0.0, math.radians(20.0)),
-    "height_m": (-0.3, 0.5),
+    "lift_m": (-0.3, 0.5),
     "camera_fault_share": (0.0, 1.0),
     "lidar_dead_sector_rad": (0.0, 2 * math.pi),
     "lidar_dead_beams": (0.0, 1.0),
@@ -91,7 +91,7 @@ class Conditions:
     heading_noise_rad: float = math.radians(2.5)
     way_seed: int | None = None  # of offset, heading, speed and keyframes
     reverse: bool = False  # the whole route the other way round
-    height_m: float = 0.0  # of the sensors above where they usually are
+    lift_m: float = 0.0  # of the sensors above where their calibration has them
     # faults
     camera_fault: str = ""  # one of CAMERA_FAULTS
     camera_fault_share: float = 1.0  # share of frames that have it
@@ -255,7 +255,7 @@ def vary(conditions: Conditions, rng: np.random.Generator) -> Conditions:
 
 
 def between(a: Conditions, b: Conditions, t: float) -> Conditions:
-    """Conditions a share t of the way from a to b: light geometrically, all else straight.
+    """Conditions a share t of the way from a to b: colours of light geometrically, else straight.
 
     Light spans five orders of magnitude from noon to night; in a straight mean everything but the
     last step would be day. What is no number (seeds, faults, direction) is a's.

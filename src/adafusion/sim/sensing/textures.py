@@ -65,6 +65,8 @@ for _material, _value in {
     Material.ASPHALT: 0.14, Material.PAVING: 0.25, Material.GRASS: 0.45, Material.ROOF: 0.25,
     Material.BARK: 0.30, Material.LEAF: 0.45, Material.METAL: 0.40, Material.SIGN: 0.95,
     Material.CAR_BODY: 0.40, Material.GLASS: 0.04, Material.RUBBER: 0.06, Material.WALL: 0.55,
+    # a laser may not tell a door or a notice from the wall that it is on
+    Material.DOOR: 0.55, Material.NOTICE: 0.55,
     Material.FLOOR: 0.30, Material.CEILING: 0.60, Material.HEDGE: 0.45, Material.STRIPES: 0.35,
 }.items():  # fmt: skip
     REFLECTIVITY[_material] = _value

@@ -27,6 +27,7 @@ from adafusion.sim.town.plan import (
     overlaps,
 )
 from adafusion.sim.town.shapes import Material, SoupBuilder
+from adafusion.types import UserError
 
 HEIGHT_M = 3.6  # above the pavement
 THICK_M = 0.3
@@ -58,8 +59,9 @@ def build_blank_walls(plan: Plan) -> None:
         plan.walled.add(e)
         _build_walls(plan, e, sides)
     if len(plan.walled) < plan.spec.blank_walls:
-        raise ValueError(
-            f"blank_walls = {plan.spec.blank_walls}: only {len(plan.walled)} streets have room"
+        raise UserError(
+            f"world {plan.spec.seed}: only {len(plan.walled)} streets have room for the "
+            f"{plan.spec.blank_walls} blank walls; take another seed"
         )
 
 

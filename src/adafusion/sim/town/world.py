@@ -95,7 +95,9 @@ def geometry_hash(world: World) -> str:
     """
     soup, digest = world.soup, hashlib.sha256()
     tables: list[tuple[ArrayLike, float]] = [
+        (world.nodes, 1e-3),
         (soup.corners, 1e-3),
+        (soup.uv, 1e-4),
         (soup.material, 1.0),
         (soup.object_id, 1.0),
         (soup.objects, 1e-4),
