@@ -20,17 +20,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool, Shaped
 
 from adafusion.cli.common import bar, cache_folder, open_data
 from adafusion.datasets import Dataset
 from adafusion.evaluation import Judged, dataset_splits, evaluate_splits, judge
 from adafusion.models import load_model
 from adafusion.provenance import git_commit
+from adafusion.sim.town.plan import INDOORS
 from adafusion.training import untrained_twin
 from adafusion.types import Split
 
 DARK = ("night",)  # presets that are no normal run
-INDOORS = ("corridor", "hall", "tunnel")  # lit day and night
 INTERVAL_SEED = 0
 
 
@@ -39,15 +40,17 @@ def preset_of(run: str) -> str:
     return run.split("-")[0]
 
 
-def asked_in(splits: Sequence[Split], is_asked: np.ndarray) -> list[Split]:
+def asked_in(splits: Sequence[Split], is_asked: Bool[np.ndarray, " frames"]) -> list[Split]:
     """The splits with those of their queries that lie at the frames chosen."""
     less = [replace(s, query_rows=s.query_rows[is_asked[s.query_rows]]) for s in splits]
     return [split for split in less if len(split.query_rows)]
 
 
-def condition_rows(splits: Sequence[Split], zones: np.ndarray) -> dict[str, list[Split]]:
+def condition_rows(
+    splits: Sequence[Split], zones: Shaped[np.ndarray, " frames"]
+) -> dict[str, list[Split]]:
     """Pairs of runs by what they have in common."""
-    outdoors = ~np.isin(zones, INDOORS)
+    outdoors = ~np.isin(zones, INDOORS)  # indoors is lit day and night
 
     def chosen(keep: Callable[[str, str], bool]) -> list[Split]:
         return [split for split in splits if keep(*split.name.split("->"))]
@@ -75,13 +78,17 @@ def condition_rows(splits: Sequence[Split], zones: np.ndarray) -> dict[str, list
     return {name: row for name, row in rows.items() if row}
 
 
-def zone_rows(splits: Sequence[Split], zones: np.ndarray) -> dict[str, list[Split]]:
-    """Queries of one kind of zone, asked of the whole database, over normal pairs."""
+def zone_rows(
+    splits: Sequence[Split], zones: Shaped[np.ndarray, " frames"]
+) -> dict[str, list[Split]]:
+    """Queries of one kind of zone, asked of the whole database."""
     rows = {f"in {zone}": asked_in(splits, zones == zone) for zone in sorted(set(zones))}
     return {name: row for name, row in rows.items() if row}
 
 
-def chance(splits: Sequence[Split], dataset: Dataset, zones: np.ndarray | None) -> float:
+def chance(
+    splits: Sequence[Split], dataset: Dataset, zones: Shaped[np.ndarray, " frames"] | None
+) -> float:
     """Mean share of true matches in the database; with `zones` in the query's zone of it."""
     shares = []
     xy = dataset.positions_m[:, :2]
@@ -122,7 +129,6 @@ def main() -> None:
     judged = judge(models, dataset, splits, cache, progress=bar)
     zones = np.array([frame.zone for frame in dataset.frames])
     by_condition = condition_rows(splits, zones)
-    same_way = by_condition.get("normal, same direction", [])
     lines = [
         f"# The synthetic world, one sensor at a time, {datetime.now(UTC):%Y-%m-%d}",
         "",
@@ -150,7 +156,7 @@ def main() -> None:
         + " | chance | chance, zone known |",
         "|---|---:|" + "---|" * len(judged) + "---:|---:|",
     ]
-    for name, row in zone_rows(same_way, zones).items():
+    for name, row in zone_rows(by_condition.get("normal, same direction", []), zones).items():
         cells = " | ".join(cell(j, dataset, row) for j in judged)
         count = sum(len(split.query_rows) for split in row)
         lines.append(

@@ -32,12 +32,16 @@ from adafusion.preprocess.cache import PreparedFrames, prepare_cache
 from adafusion.provenance import git_commit
 from adafusion.search import pairwise_distances
 from adafusion.sim.run.conditions import PRESETS, Conditions, between
-from adafusion.sim.simulate import simulate
-from adafusion.types import Descriptions, Estimate
+from adafusion.sim.simulate import describe_world, simulate
+from adafusion.sim.studio import Studio, make_job
+from adafusion.sim.town.plan import INDOORS
+from adafusion.types import Descriptions, Estimate, UserError
 
 PLACES = 120  # of each run
 RADIUS_M = 20.0
+SEED = 0  # of the bootstrap
 NEAR_DOOR = 5  # frames before the entry into a corridor, and as many after its exit
+LEAST_INSIDE = 5  # frames of a corridor that count as a passage through it
 LIGHT = (
     "sun_elevation_rad", "sun_rgb", "zenith_rgb", "horizon_rgb", "cloud_rgb", "street_lamps",
     "headlights", "lit_windows", "window_rgb",
@@ -167,30 +171,34 @@ def recalls(query: Seen, database: Seen) -> dict[str, float]:
     }
 
 
-def mean_by_places(
-    values: Float64[np.ndarray, " n"], xy: Float64[np.ndarray, "n 2"], seed: int = 0
-) -> Estimate:
+def mean_by_places(values: Float64[np.ndarray, " n"], xy: Float64[np.ndarray, "n 2"]) -> Estimate:
     """Mean of a value of each place, with a 95 % interval from a bootstrap over 50 m blocks."""
     block = place_blocks(xy)
     count = int(block.max()) + 1
     total = np.bincount(block, values, minlength=count)
     size = np.bincount(block, minlength=count)
-    draws = draw_blocks(count, 2000, seed)
+    draws = draw_blocks(count, 2000, SEED)
     interval = percentile_interval((draws @ total) / np.maximum(draws @ size, 1.0))
     return Estimate(float(values.mean()), interval)
 
 
 def corridor_steps(base: Seen, value: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " k"]:
-    """Mean inside each corridor minus the mean of the frames just outside its two doors."""
+    """Mean inside each corridor minus the mean of the frames just outside its two doors.
+
+    A corridor of which the drive holds fewer than `LEAST_INSIDE` frames is left out. ValueError
+    where none is left.
+    """
     inside = np.array([zone == "corridor" for zone in base.zone])
-    indoor = np.array([zone in ("corridor", "hall", "tunnel") for zone in base.zone])
+    indoor = np.array([zone in INDOORS for zone in base.zone])
     edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
     steps = []
     for start, stop in edges.reshape(-1, 2):
         near = np.r_[max(start - NEAR_DOOR, 0) : start, stop : min(stop + NEAR_DOOR, len(inside))]
         near = near[~indoor[near]]
-        if stop - start >= 5 and len(near):
+        if stop - start >= LEAST_INSIDE and len(near):
             steps.append(value[start:stop].mean() - value[near].mean())
+    if not steps:
+        raise ValueError("the drive passes no corridor; raise PLACES")
     return np.array(steps)
 
 
@@ -210,7 +218,7 @@ def effects(seen: Mapping[str, Seen]) -> dict[str, tuple[Estimate, Estimate]]:
             mean_by_places(distance_share(other, database) - share, base.xy),
         )
     steps = [corridor_steps(base, value) for value in (base.trust, share)]
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(SEED)
     picks = rng.integers(len(steps[0]), size=(2000, len(steps[0])))
     rows["corridor"] = tuple(
         Estimate(float(step.mean()), percentile_interval(step[picks].mean(axis=1)))
@@ -266,6 +274,20 @@ def draw(results: Mapping[str, Mapping[str, tuple[Estimate, Estimate]]], path: P
     figure.savefig(path, dpi=130)
 
 
+def sweep(path: Path, seed: int, workers: int) -> Dataset:
+    """Open the sweep of one world, or simulate it; UserError where `path` holds another one."""
+    if not path.exists():
+        return simulate(
+            path, seed=seed, runs=sweep_runs(), profile="small", places=PLACES,
+            regions="all-test", workers=workers, progress=bar,
+        )  # fmt: skip
+    dataset = open_dataset(path)
+    wanted = describe_world(Studio(make_job(seed, sweep_runs(), "small", PLACES)), "all-test")
+    if dataset.info != wanted:
+        raise UserError(f"{path} holds another sweep or version: remove it, to simulate it anew")
+    return dataset
+
+
 def main() -> None:
     """Simulate what is missing, describe, and print one Markdown page."""
     parser = argparse.ArgumentParser(
@@ -281,15 +303,7 @@ def main() -> None:
     cache = cache_folder(arguments.cache)
     worlds = {}
     for seed in arguments.world:
-        path = arguments.folder / f"sweep-{seed}"
-        worlds[seed] = (
-            open_dataset(path)
-            if path.exists()
-            else simulate(
-                path, seed=seed, runs=sweep_runs(), profile="small", places=PLACES,
-                regions="all-test", workers=arguments.workers, progress=bar,
-            )
-        )  # fmt: skip
+        worlds[seed] = sweep(arguments.folder / f"sweep-{seed}", seed, arguments.workers)
     models = [load_model(name) for name in arguments.model]
     first_world = arguments.world[0]
     todo = [(models[0], seed) for seed in arguments.world]

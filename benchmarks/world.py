@@ -117,8 +117,8 @@ def main() -> None:
         f"{before[0]:.1f} at the start, {after[0]:.1f} at the end.",
         f"Peak memory: {own:,.0f} MB this process, {children:,.0f} MB the largest worker.",
         "",
-        f"Mean CPU-ms a frame, one thread, {options.frames} frames of {', '.join(RUNS)}; image and "
-        "scan each hold the moving objects, the column beside them says how much that is:",
+        f"Mean CPU-ms a frame, one thread, {options.frames} frames of {', '.join(RUNS)}; the "
+        "image holds the assembly of the moving objects, which the scan finds made:",
         "",
         "| profile | image + beams | triangles | world | moving objects | image | scan | files "
         "| image + scan | target | places a run |",

@@ -128,7 +128,7 @@ def test_it_goes_on_where_it_was_cut_off(
     [
         ({"kind": "kitti"}, "nclt, robotcar, pointnetvlad"),
         ({"runs": ["noon"]}, "'noon'"),
-        ({"profile": "huge"}, "tiny, small, full"),
+        ({"profile": "huge"}, "tiny, small, compact, full"),
         ({"places": 0}, "places"),
     ],
 )

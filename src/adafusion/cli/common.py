@@ -8,8 +8,9 @@ import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
+import typer
 from tqdm import tqdm
 
 from adafusion.types import Frame, UserError
@@ -18,6 +19,26 @@ if TYPE_CHECKING:
     from adafusion.datasets import Dataset
 
 T = TypeVar("T")
+
+WORKERS = 2  # processes that render, unless asked otherwise
+
+# options of every command that drives through the synthetic world
+Seed = Annotated[int, typer.Option(help="Which world: another seed, another town.")]
+Runs = Annotated[str, typer.Option(help="Conditions to drive in, by comma.")]
+Profile = Annotated[
+    str, typer.Option(help="Size of the town and sensors: tiny, small, compact or full.")
+]
+Places = Annotated[
+    int | None, typer.Option(help="Frames of each run; default: the whole route.", min=1)
+]
+Workers = Annotated[int, typer.Option(help="Processes that render.", min=1)]
+Cache = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of preprocessed frames and rendered worlds; default: ADAFUSION_CACHE, else "
+        "~/.cache/adafusion."
+    ),
+]
 
 
 def bar(items: Iterable[T], *, total: int | None = None, desc: str = "") -> Iterable[T]:
@@ -33,7 +54,7 @@ def say(message: str) -> None:
 
 
 def cache_folder(given: Path | None) -> Path:
-    """Where preprocessed frames are kept: the option, else ADAFUSION_CACHE, else ~/.cache."""
+    """Where frames and rendered worlds are kept: the option, ADAFUSION_CACHE, else ~/.cache."""
     if given is not None:
         return given
     named = os.environ.get("ADAFUSION_CACHE")  # empty is as good as not set, not this folder
@@ -58,7 +79,7 @@ def open_data(path: Path, cache: Path | None = None) -> Dataset:
     if name in BENCHMARKS:
         parts = [known for known in names() if known.startswith(f"{name}/")]
         raise UserError(f"{name} has parts: choose from {', '.join(parts)}")
-    return open_benchmark(name, cache_folder(cache), workers=os.cpu_count() or 1, progress=bar)
+    return open_benchmark(name, cache_folder(cache), workers=WORKERS, progress=bar)
 
 
 def choose_frames(dataset: Dataset, runs: str | None = None, frames: str = "::") -> list[Frame]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from adafusion.cli.common import bar, split_names
+from adafusion.cli.common import WORKERS, Places, Profile, Runs, Seed, Workers, bar, split_names
 from adafusion.types import UserError
 
 if TYPE_CHECKING:
@@ -19,14 +19,10 @@ if TYPE_CHECKING:
 
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder of the new dataset; must not exist.")],
-    seed: Annotated[int, typer.Option(help="Which world: another seed, another city.")] = 1,
-    runs: Annotated[str, typer.Option(help="Conditions to drive in, by comma.")] = "day,night",
-    profile: Annotated[
-        str, typer.Option(help="tiny, small or full: image size, beams, frames a run.")
-    ] = "small",
-    places: Annotated[
-        int | None, typer.Option(help="Frames a run; default: what the profile says.")
-    ] = None,
+    seed: Seed = 1,
+    runs: Runs = "day,night",
+    profile: Profile = "small",
+    places: Places = None,
     regions: Annotated[
         str,
         typer.Option(
@@ -40,7 +36,7 @@ def simulate(
             "--set", help="Change a factor of all runs, foliage=0.2, or of one, night.rain_mm_h=5."
         ),
     ] = None,
-    workers: Annotated[int, typer.Option(help="Processes that render.", min=1)] = 2,
+    workers: Workers = WORKERS,
 ) -> None:
     """Drive through the synthetic world and record camera, LiDAR, true pose and a GPS/INS pose.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from adafusion.cli.common import bar, cache_folder, open_data, say, split_names
+from adafusion.cli.common import Cache, bar, cache_folder, open_data, say, split_names
 
 if TYPE_CHECKING:
     from adafusion.datasets import Dataset
@@ -60,7 +60,7 @@ def evaluate(
         Literal["l1", "l2"], typer.Option(help="Distance between descriptors.")
     ] = "l1",
     seed: Annotated[int, typer.Option(help="Seed of the intervals' bootstrap.", min=0)] = 0,
-    cache: Annotated[Path | None, typer.Option(help="Folder of preprocessed frames.")] = None,
+    cache: Cache = None,
     report: Annotated[bool, typer.Option(help="Write report.html.")] = True,
 ) -> None:
     """Measure recall@N of one or more models under an exact, named protocol.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from adafusion.cli.common import bar, cache_folder, open_data, say
+from adafusion.cli.common import Cache, bar, cache_folder, open_data, say
 
 if TYPE_CHECKING:
     import numpy as np
@@ -47,7 +47,7 @@ def train(
         ),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where OUT stopped.")] = False,
-    cache: Annotated[Path | None, typer.Option(help="Folder of preprocessed frames.")] = None,
+    cache: Cache = None,
     accelerator: Annotated[
         Accelerator, typer.Option(help="auto: an NVIDIA GPU where there is one, else the CPU.")
     ] = "auto",

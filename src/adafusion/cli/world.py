@@ -9,7 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from adafusion.cli.common import bar, cache_folder, say, split_names
+from adafusion.cli.common import (
+    WORKERS,
+    Cache,
+    Places,
+    Profile,
+    Runs,
+    Seed,
+    Workers,
+    bar,
+    cache_folder,
+    say,
+    split_names,
+)
 
 if TYPE_CHECKING:
     from adafusion.sim.run.conditions import Conditions
@@ -18,11 +30,6 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="The synthetic world: named benchmarks, contact sheets, exports.", no_args_is_help=True
 )
-
-Seed = Annotated[int, typer.Option(help="Which world: another seed, another city.")]
-Profile = Annotated[str, typer.Option(help="tiny, small or full: image size, beams, town.")]
-Workers = Annotated[int, typer.Option(help="Processes that render.", min=1)]
-Cache = Annotated[Path | None, typer.Option(help="Folder that keeps rendered worlds.")]
 
 
 @app.command("list")
@@ -62,7 +69,7 @@ def list_benchmarks(
 @app.command()
 def render(
     name: Annotated[str, typer.Argument(help="world-v1-small, or a part: world-v1-small/test.")],
-    workers: Workers = 2,
+    workers: Workers = WORKERS,
     cache: Cache = None,
 ) -> None:
     """Render a named world into the cache; a killed rendering goes on where it was.
@@ -92,8 +99,8 @@ def sheet(
         str, typer.Option(help="Columns: presets, by comma.")
     ] = "day,overcast,dusk,night,fog,rain,snow,glare,winter,autumn",
     places: Annotated[
-        int, typer.Option(help="Rows: places, all kinds of zone among them.", min=1)
-    ] = 10,
+        int, typer.Option(help="Rows: about so many places, as many of each kind of zone.", min=1)
+    ] = 14,
     from_above: Annotated[
         bool, typer.Option("--from-above", help="Draw each cloud from above as well.")
     ] = False,
@@ -111,7 +118,7 @@ def sheet(
 
     if out.suffix not in SUFFIXES:  # said before the work
         raise UserError(f"{out}: a contact sheet ends in {' or '.join(SUFFIXES)}")
-    runs = {name: _same_but_for_light(name) for name in split_names(conditions)}
+    runs = {name: _with_the_same_streets(name) for name in split_names(conditions)}
     studio = Studio(make_job(seed, runs, profile))
     shown = _spread_over_zones(studio, next(iter(runs)), places)
     # condition by condition: the scene of a run is kept
@@ -136,9 +143,9 @@ def export(
     kind: Annotated[str, typer.Argument(help="nclt, robotcar or pointnetvlad.")],
     out: Annotated[Path, typer.Argument(help="Folder to write; must not exist.")],
     seed: Seed = 1,
-    runs: Annotated[str, typer.Option(help="Conditions to drive in, by comma.")] = "day,night",
+    runs: Runs = "day,night",
     profile: Profile = "small",
-    places: Annotated[int | None, typer.Option(help="Frames a run; default: all.")] = None,
+    places: Places = None,
 ) -> None:
     """Write a synthetic drive in the raw layout of a real dataset; its manifest says synthetic.
 
@@ -154,8 +161,8 @@ def export(
     print(out)
 
 
-def _same_but_for_light(name: str) -> Conditions:
-    """A preset whose way and moving things are those of every other one."""
+def _with_the_same_streets(name: str) -> Conditions:
+    """A preset driven the same way, with the same things in the streets, as every other one."""
     from dataclasses import replace
 
     from adafusion.sim.run.conditions import preset
@@ -168,7 +175,7 @@ def _same_but_for_light(name: str) -> Conditions:
 
 
 def _spread_over_zones(studio: Studio, run: str, places: int) -> list[int]:
-    """Frames of a run, about `places`, that take turns among the kinds of zone."""
+    """Frames of a run, about `places` of them and as many of each kind of zone, one at least."""
     zone = studio.drive(run).zone
     by_kind = {kind: [k for k, z in enumerate(zone) if z == kind] for kind in sorted(set(zone))}
     share = max(places // len(by_kind), 1)
@@ -176,4 +183,4 @@ def _spread_over_zones(studio: Studio, run: str, places: int) -> list[int]:
     for rows in by_kind.values():
         step = max(len(rows) // (share + 1), 1)
         chosen += rows[step::step][:share] or rows[:1]
-    return chosen[:places]
+    return chosen
