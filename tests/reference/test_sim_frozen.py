@@ -3,8 +3,8 @@
 """What the sensors gave when the named worlds were frozen, in a few numbers a frame.
 
 Hashes hold what stands and moves; these hold how it is drawn. `python
-tests/reference/test_sim_frozen.py` recorded them. Another machine's arithmetic may differ in the last
-bits; a texture, a lamp or a laser that was changed does not fit in the tolerance.
+tests/reference/test_sim_frozen.py` recorded them. Another machine's arithmetic may differ in the
+last bits; a texture, a lamp or a laser that was changed does not fit in the tolerance.
 """
 
 from __future__ import annotations
