@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Do the shipped models beat their untrained twins on a world that nobody trained on?
 
-    adafusion simulate data/world-301 --seed 301 --runs day,day-2,dusk,night,fog
-    python benchmarks/shipped_models.py data/world-301 [--output docs/results/shipped-models.md]
+    python benchmarks/shipped_models.py [--output docs/results/shipped-models.md]
 
-A twin has the shipped model's sizes and fresh weights. All are judged under cross-run in the test
-region, over all pairs of runs and over those pairs alone in which one run is by night or in fog.
+A twin has the shipped sizes and fresh weights. All are judged on `world-v1-small/test` under
+cross-run: over all pairs of runs, over those alone in which one run is by night or in which the two
+drive in opposite directions, and over what is left.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import argparse
 from datetime import UTC, datetime
 from pathlib import Path
 
-from adafusion.cli.common import bar, cache_folder
-from adafusion.datasets import open_dataset
+from adafusion.cli.common import bar, cache_folder, open_data
 from adafusion.evaluation import dataset_splits, evaluate_splits, judge
 from adafusion.models import SHIPPED, AdaFusion, load_model
 from adafusion.provenance import git_commit
@@ -28,24 +27,24 @@ INTERVAL_SEED = 0
 def main() -> None:
     """Evaluate and print one Markdown page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("dataset", type=Path)
+    parser.add_argument("dataset", type=Path, nargs="?", default=Path("world-v1-small/test"))
     parser.add_argument("--cache", type=Path, help="folder of preprocessed frames")
     parser.add_argument("--output", type=Path, help="Markdown file to write as well")
     arguments = parser.parse_args()
-    dataset = open_dataset(arguments.dataset)
+    cache = cache_folder(arguments.cache)
+    dataset = open_data(arguments.dataset, cache)
     models = [model for name in SHIPPED for model in _both(load_model(name))]
     splits = dataset_splits(dataset, "cross-run")
     kinds = {
         "all pairs": splits,
         "with night": [split for split in splits if "night" in split.name],
-        "with fog": [split for split in splits if "fog" in split.name],
-        "neither": [s for s in splits if "night" not in s.name and "fog" not in s.name],
+        "opposite directions": [s for s in splits if s.name.count("reverse") == 1],
+        "neither": [s for s in splits if "night" not in s.name and s.name.count("reverse") != 1],
     }
     lines = [
         f"# Shipped models on a world nobody trained on, {datetime.now(UTC):%Y-%m-%d}",
         "",
-        f"`python benchmarks/shipped_models.py data/{arguments.dataset.name}`, commit "
-        f"{git_commit()}.",
+        f"`python benchmarks/shipped_models.py {arguments.dataset}`, commit {git_commit()}.",
         "",
         f"SYNTHETIC data: {dataset.info.source}, version {dataset.info.version}, fingerprint "
         f"{dataset.fingerprint}. Protocol cross-run, test region, 20 m, L1; recall@1 in percent "
@@ -54,7 +53,7 @@ def main() -> None:
         f"| model | fingerprint | {' | '.join(kinds)} |",
         "|---|---|" + "---|" * len(kinds),
     ]
-    for judged in judge(models, dataset, splits, cache_folder(arguments.cache), progress=bar):
+    for judged in judge(models, dataset, splits, cache, progress=bar):
         assert judged.descriptions.fused is not None
         cells = []
         for chosen in kinds.values():

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from adafusion.datasets import Dataset
 from adafusion.models import ModelConfig
 from adafusion.preprocess import ImageSettings, Preprocess, VoxelGrid
 from adafusion.sim.simulate import simulate
+from adafusion.types import Progress
 
 
 @pytest.fixture(scope="session")
@@ -39,6 +41,54 @@ def tiny_model() -> ModelConfig:
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where all end-to-end tests keep preprocessed frames."""
     return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture
+def contents():
+    """Every file below a folder, by its path there."""
+
+    def read(folder: Path) -> dict[str, bytes]:
+        paths = (path for path in folder.rglob("*") if path.is_file())
+        return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+
+    return read
+
+
+@pytest.fixture
+def cut_off():
+    """A progress bar that stops a job after so many steps, as Ctrl-C would."""
+
+    def after(steps: int) -> Progress:
+        def stop(
+            items: Iterable[object], *, total: int | None = None, desc: str = ""
+        ) -> Iterator[object]:
+            for k, item in enumerate(items):
+                if k == steps:
+                    raise KeyboardInterrupt
+                yield item
+
+        return stop
+
+    return after
+
+
+class Count:
+    """A progress bar that keeps how many steps it was told of."""
+
+    def __init__(self) -> None:
+        self.totals: list[int | None] = []
+
+    def __call__(
+        self, items: Iterable[object], *, total: int | None = None, desc: str = ""
+    ) -> Iterable[object]:
+        self.totals.append(total)
+        return items
+
+
+@pytest.fixture
+def count() -> Count:
+    """A progress bar that counts."""
+    return Count()
 
 
 class Said:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,11 +35,6 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.fixture(scope="module")
 def studio() -> Studio:
     return Studio(make_job(**WISHES))
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    paths = (path for path in folder.rglob("*") if path.is_file())
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
 def stamps(folder: Path, suffix: str) -> list[int]:
@@ -95,31 +89,15 @@ def test_its_manifest_says_that_it_is_synthetic(exported: dict[str, Path], kind:
 
 @pytest.mark.parametrize("kind", ["nclt", "pointnetvlad"])
 def test_it_goes_on_where_it_was_cut_off(
-    exported: dict[str, Path], kind: str, tmp_path: Path
+    cut_off, count, contents, exported: dict[str, Path], kind: str, tmp_path: Path
 ) -> None:
-    def cut_off(
-        items: Iterable[object], *, total: int | None = None, desc: str = ""
-    ) -> Iterator[object]:
-        for k, item in enumerate(items):
-            if k == 1:
-                raise KeyboardInterrupt
-            yield item
-
-    counted: list[int | None] = []
-
-    def count(
-        items: Iterable[object], *, total: int | None = None, desc: str = ""
-    ) -> Iterable[object]:
-        counted.append(total)
-        return items
-
     out = tmp_path / "cut"
     with pytest.raises(KeyboardInterrupt):
-        export(kind, out, **WISHES, progress=cut_off)
+        export(kind, out, **WISHES, progress=cut_off(1))
     assert not out.exists()
     export(kind, out, **WISHES, progress=count)
     whole = contents(exported[kind])
-    assert counted == [len(whole) - 2]  # without the file that was there, and the manifest
+    assert count.totals == [len(whole) - 2]  # without the file that was there, and the manifest
     assert contents(out) == whole
 
 
@@ -309,6 +287,16 @@ def test_a_run_that_is_too_short_has_no_submaps_and_leaves_nothing(
     with pytest.raises(UserError, match="more places"):
         export("pointnetvlad", tmp_path / "none", **WISHES)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_submap_of_the_road_alone_is_named_by_run_and_time(
+    tmp_path: Path, studio: Studio, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("adafusion.sim.exports.pointnetvlad.ROAD_M", 1e3)  # all of it is road
+    first = studio.drive("day").path_time_us[0]
+    with pytest.raises(UserError, match=rf"'day' .* at {first}: .*road alone; .*lidar_fog_per_m"):
+        export("pointnetvlad", tmp_path / "none", **WISHES)
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.parametrize("kind", ["nclt", "robotcar"])

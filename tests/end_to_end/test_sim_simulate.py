@@ -9,7 +9,6 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,11 +29,6 @@ RUNS = ["day", "night"]
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     out = tmp_path_factory.mktemp("sim") / "world"
     return simulate(out, seed=3, runs=RUNS, profile="tiny", places=3)
-
-
-def contents(dataset: Dataset) -> dict[str, bytes]:
-    paths = (path for path in dataset.root.rglob("*") if path.is_file())
-    return {path.relative_to(dataset.root).as_posix(): path.read_bytes() for path in paths}
 
 
 def test_it_writes_a_dataset_that_says_it_is_synthetic(dataset: Dataset) -> None:
@@ -64,9 +58,11 @@ def test_the_ground_is_near_zero_in_the_body_frame(dataset: Dataset) -> None:
 
 
 @pytest.mark.slow
-def test_it_writes_the_same_bytes_with_two_workers(dataset: Dataset, tmp_path: Path) -> None:
+def test_it_writes_the_same_bytes_with_two_workers(
+    contents, dataset: Dataset, tmp_path: Path
+) -> None:
     two = simulate(tmp_path / "two", seed=3, runs=RUNS, profile="tiny", places=3, workers=2)
-    assert contents(two) == contents(dataset)
+    assert contents(two.root) == contents(dataset.root)
 
 
 def test_another_seed_is_another_world(dataset: Dataset, tmp_path: Path) -> None:
@@ -107,7 +103,9 @@ def test_a_full_disk_is_named_and_leaves_nothing_that_passes_for_whole(
 
 
 @pytest.mark.slow
-def test_a_killed_rendering_goes_on_to_the_same_bytes(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_killed_rendering_goes_on_to_the_same_bytes(
+    contents, dataset: Dataset, tmp_path: Path
+) -> None:
     """kill -9 takes parent and workers in the middle; the same call then finishes."""
     out = tmp_path / "killed"
     script = (
@@ -128,34 +126,20 @@ def test_a_killed_rendering_goes_on_to_the_same_bytes(dataset: Dataset, tmp_path
     job.wait()
     assert not out.exists()
     again = simulate(out, seed=3, runs=RUNS, profile="tiny", places=3, workers=2)
-    assert contents(again) == contents(dataset)
+    assert contents(again.root) == contents(dataset.root)
 
 
-def test_it_goes_on_where_it_was_cut_off(dataset: Dataset, tmp_path: Path) -> None:
-    def cut_off(
-        items: Iterable[object], *, total: int | None = None, desc: str = ""
-    ) -> Iterator[object]:
-        for k, item in enumerate(items):
-            if k == 2:
-                raise KeyboardInterrupt
-            yield item
-
-    counted: list[int | None] = []
-
-    def count(
-        items: Iterable[object], *, total: int | None = None, desc: str = ""
-    ) -> Iterable[object]:
-        counted.append(total)
-        return items
-
+def test_it_goes_on_where_it_was_cut_off(
+    cut_off, count, contents, dataset: Dataset, tmp_path: Path
+) -> None:
     out = tmp_path / "resumed"
     settings = {"seed": 3, "runs": RUNS, "profile": "tiny", "places": 3}
     with pytest.raises(KeyboardInterrupt):
-        simulate(out, **settings, progress=cut_off)
+        simulate(out, **settings, progress=cut_off(2))
     assert not out.exists()
     resumed = simulate(out, **settings, progress=count)
-    assert counted == [3]
-    assert contents(resumed) == contents(dataset)
+    assert count.totals == [3]
+    assert contents(resumed.root) == contents(dataset.root)
 
 
 @pytest.mark.parametrize(

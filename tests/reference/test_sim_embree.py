@@ -12,8 +12,8 @@ from numba import njit
 
 from adafusion.geometry import pose_from_xyz_yaw
 from adafusion.sim.numeric import keyed_rng
+from adafusion.sim.run.parking import park_vehicles
 from adafusion.sim.run.traffic import plan_traffic, traffic_at
-from adafusion.sim.run.vehicles import park_vehicles
 from adafusion.sim.sensing.bvh import new_stack
 from adafusion.sim.sensing.lidar import HDL_64E, ray_directions
 from adafusion.sim.sensing.scene import Scene, build_scene, build_static, trace_scene, with_traffic

@@ -10,7 +10,15 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from adafusion.sim.run.conditions import PRESETS, RANGES, Conditions, between, preset, vary
+from adafusion.sim.run.conditions import (
+    PRESETS,
+    RANGES,
+    Conditions,
+    between,
+    preset,
+    vary,
+    with_seeds,
+)
 from adafusion.types import UserError
 
 DAY, NIGHT = PRESETS["day"], PRESETS["night"]
@@ -86,3 +94,16 @@ def test_between_two_conditions_light_moves_geometrically() -> None:
 def test_between_goes_no_further_than_its_ends() -> None:
     with pytest.raises(ValueError, match="t = 1"):
         between(DAY, NIGHT, 1.5)
+
+
+def test_a_seed_that_is_not_given_is_the_run_s_own() -> None:
+    assert DAY.seed_of("cloud_seed", 7) == 7
+    assert replace(DAY, cloud_seed=0).seed_of("cloud_seed", 7) == 0
+    assert replace(DAY, cloud_seed=0).seed_of("window_seed", 7) == 7
+
+
+def test_all_seeds_are_given_at_once_and_nothing_else_is_changed() -> None:
+    given = with_seeds(NIGHT, 3)
+    changed = {name for name, value in asdict(given).items() if value != asdict(NIGHT)[name]}
+    assert changed == {name for name in asdict(NIGHT) if name.endswith("_seed")}
+    assert {asdict(given)[name] for name in changed} == {3}

@@ -165,6 +165,11 @@ def test_a_point_of_nclt_that_is_too_far_is_refused() -> None:
         nclt.encode_scan(np.array([[-100.1, 0.0, 0.0]]), np.uint8([0]), np.uint8([0]))
 
 
+def test_the_laser_of_nclt_sees_no_farther_than_a_point_can_be() -> None:
+    """So that no run meets the refusal: its farthest return is well within 100 m of the body."""
+    assert nclt.velodyne(512).range_m + abs(nclt.BODY_VELODYNE_M[2]) < 95.0
+
+
 def test_lasers_of_nclt_are_numbered_from_the_top() -> None:
     """The sensor hangs upside down: its lowest laser, number 0, looks up by 30.67 degrees."""
     elevation = np.degrees(nclt.velodyne(512).elevations_rad)
@@ -382,10 +387,12 @@ def test_a_cloud_is_thinned_out_evenly() -> None:
     assert len(np.unique(few.round(9), axis=0)) == 100
 
 
-def test_the_road_alone_is_no_submap() -> None:
+def test_the_road_alone_is_no_submap_nor_is_nothing() -> None:
     flat = np.random.default_rng(1).uniform(0, 5, (500, 3)) * (1.0, 1.0, 0.0)
     with pytest.raises(ValueError, match="road alone"):
         pointnetvlad.make_submap(flat, keyed_rng(1, "t"))
+    with pytest.raises(ValueError, match="no scan had an echo"):
+        pointnetvlad.make_submap(flat[:0], keyed_rng(1, "t"))
 
 
 def test_a_submap_is_points_one_after_the_other() -> None:

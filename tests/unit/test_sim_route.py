@@ -9,9 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adafusion.datasets.splits import region_of
 from adafusion.geometry import is_rigid
-from adafusion.sim.regions import GUARD_M, split_three, split_two
 from adafusion.sim.run.conditions import PRESETS
 from adafusion.sim.run.route import YAW_RAD_S, drive, plan_route, pose_along
 from adafusion.sim.studio import PROFILES
@@ -160,26 +158,3 @@ def test_timestamps_rise_and_tell_nothing_of_the_place(world: World) -> None:
     elapsed = [(way.timestamp_us - way.timestamp_us[0])[:80] for way in runs]
     assert np.abs(elapsed[0] - elapsed[1]).max() > 2_000_000
     assert len({int(way.timestamp_us[0]) // 86_400_000_000 for way in runs}) == 3
-
-
-@pytest.mark.parametrize("cut", [split_two, split_three])
-def test_regions_keep_a_guard_between_them(world: World, cut: object) -> None:
-    xy = drive(world, DAY, 1).T_world_body[:, :2, 3]
-    region = region_of(xy, cut(world))
-    share = {name: float((region == name).mean()) for name in np.unique(region)}
-    assert 0.1 < share["validation"] < 0.4
-    assert share["train"] > 0.25
-    used = [name for name in share if name != "guard"]
-    assert set(used) == {"train", "validation"} | ({"test"} if cut is split_three else set())
-    for a in used:
-        for b in used:
-            if a < b:
-                assert gaps(xy[region == a], xy[region == b]).min() >= GUARD_M
-
-
-def test_a_split_world_has_corridors_to_teach_and_to_judge(world: World) -> None:
-    way = drive(world, DAY, 1)
-    region = region_of(way.T_world_body[:, :2, 3], split_three(world))
-    zones = np.array(way.zone)
-    assert "corridor" in zones[region == "test"]
-    assert "corridor" in zones[region == "train"]

@@ -10,12 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adafusion.sim.run.conditions import PRESETS, Conditions
+from adafusion.sim.run.conditions import PRESETS, Conditions, with_seeds
 from adafusion.sim.studio import FROZEN_FRAMES, Studio, conditions_of, make_job
 from adafusion.types import UserError
 
-FIXED = dict.fromkeys(("way_seed", "parked_seed", "traffic_seed", "window_seed", "cloud_seed"), 1)
-BASE = replace(PRESETS["overcast"], **FIXED)
+BASE = with_seeds(PRESETS["overcast"], 1)
 K = 30
 
 

@@ -11,21 +11,22 @@ import pytest
 
 from adafusion.geometry import pose_from_xyz_yaw
 from adafusion.sim.run.instances import Instance, place, standing
+from adafusion.sim.run.parking import park_vehicles
 from adafusion.sim.run.people import STRIDES, person
 from adafusion.sim.run.traffic import (
     END_M,
-    LANE_M,
     NEAREST_M,
+    TRAFFIC_LANE_M,
     WALK_M,
     Traffic,
     plan_traffic,
     positions,
     traffic_at,
 )
-from adafusion.sim.run.vehicles import BUS, CARS, LIT, LORRY, VEHICLES, park_vehicles, vehicle
+from adafusion.sim.run.vehicles import BUS, CARS, LORRY, VEHICLES, vehicle
 from adafusion.sim.sensing.scene import build_scene, build_static, with_traffic
 from adafusion.sim.town.plan import KERB_M, Hills, Street, WorldSpec
-from adafusion.sim.town.shapes import Material, Soup, SoupBuilder, rectangle
+from adafusion.sim.town.shapes import LIT, Material, Soup, SoupBuilder, rectangle
 from adafusion.sim.town.world import World
 
 FAR = np.array([[1e4, 1e4]])
@@ -50,13 +51,6 @@ def town(kinds: tuple[str, ...] = ("street",), slope: float = 0.0) -> World:
     nodes = np.array([end for line in lines for end in (line[0], line[-1])])
     lamps = np.zeros((0, 8))
     return World(WorldSpec(seed=0), nodes, tuple(streets), soup.build(), (), lamps, hills)
-
-
-def same(a: Soup, b: Soup) -> bool:
-    names = ("corners", "uv", "material", "object_id", "objects")
-    return a.kinds == b.kinds and all(
-        np.array_equal(getattr(a, name), getattr(b, name)) for name in names
-    )
 
 
 def middles(soup: Soup, kind: str) -> np.ndarray:
@@ -161,7 +155,7 @@ def test_a_fuller_street_keeps_the_cars_of_a_sparser_one() -> None:
     assert all(tuple(corner) in found for corner in few.corners[:, 0].tolist())
 
 
-def test_parked_cars_belong_to_their_seed() -> None:
+def test_parked_cars_belong_to_their_seed(same) -> None:
     assert same(park_vehicles(town(), 3, 0.5, FAR), park_vehicles(town(), 3, 0.5, FAR))
     assert not same(park_vehicles(town(), 3, 0.5, FAR), park_vehicles(town(), 4, 0.5, FAR))
     assert len(park_vehicles(town(), 3, 0.0, FAR).corners) == 0
@@ -186,7 +180,7 @@ def test_vehicles_keep_to_the_right_whichever_way_they_go(busy: Traffic) -> None
     xy, yaw = positions(busy.tracks, busy.vehicles, 12.0)
     ways = np.cos(yaw)
     assert set(np.sign(ways)) == {-1.0, 1.0}, "with us and towards us"
-    np.testing.assert_allclose(xy[:, 1], LANE_M * np.sign(ways), atol=0.16)
+    np.testing.assert_allclose(xy[:, 1], TRAFFIC_LANE_M * np.sign(ways), atol=0.16)
     assert ((xy[:, 0] >= END_M) & (xy[:, 0] <= 200.0 - END_M)).all()
 
 
@@ -258,7 +252,7 @@ def rows(soup: Soup, kind: str) -> list[int]:
     return [k for k, name in enumerate(soup.kinds) if name == kind]
 
 
-def test_it_is_a_function_of_seed_and_time(busy: Traffic) -> None:
+def test_it_is_a_function_of_seed_and_time(same, busy: Traffic) -> None:
     world = town()
     again = plan_traffic(world, 7, 2.0, 2.0)
     assert same(traffic_at(world, busy, 9.0, HERE), traffic_at(world, again, 9.0, HERE))

@@ -28,7 +28,7 @@ from adafusion.sim.town.plan import (
     overlaps,
     touches,
 )
-from adafusion.sim.town.shapes import PITCH, STYLE, Material, Soup, SoupBuilder, rectangle
+from adafusion.sim.town.shapes import PITCH, STYLE, Material, SoupBuilder, rectangle
 from adafusion.sim.town.world import STEPS, World, build_world, geometry_hash, zone_labels
 
 SPEC = WorldSpec(
@@ -61,20 +61,13 @@ def scene(whole_kit: World) -> Scene:
     return build_scene(whole_kit, build_static(whole_kit), SoupBuilder().build())
 
 
-def same(a: Soup, b: Soup) -> bool:
-    names = ("corners", "uv", "material", "object_id", "objects")
-    return a.kinds == b.kinds and all(
-        np.array_equal(getattr(a, name), getattr(b, name)) for name in names
-    )
-
-
-def test_it_is_the_same_for_the_same_spec(world: World) -> None:
+def test_it_is_the_same_for_the_same_spec(same, world: World) -> None:
     again = build_world(SPEC)
     assert same(world.soup, again.soup)
     np.testing.assert_array_equal(world.lamps, again.lamps)
 
 
-def test_it_is_another_for_another_seed(world: World) -> None:
+def test_it_is_another_for_another_seed(same, world: World) -> None:
     assert not same(world.soup, build_world(replace(SPEC, seed=2)).soup)
 
 

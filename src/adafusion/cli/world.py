@@ -165,13 +165,10 @@ def _with_the_same_streets(name: str) -> Conditions:
     """A preset driven the same way, with the same things in the streets, as every other one."""
     from dataclasses import replace
 
-    from adafusion.sim.run.conditions import preset
+    from adafusion.sim.run.conditions import preset, with_seeds
 
-    seen = preset(name)
-    return replace(
-        seen, way_seed=1, parked_seed=1, traffic_seed=1, window_seed=1, cloud_seed=1,
-        parked_density=0.35, traffic_density=0.25, people_density=0.15,
-    )  # fmt: skip
+    seen = with_seeds(preset(name), 1)
+    return replace(seen, parked_density=0.35, traffic_density=0.25, people_density=0.15)
 
 
 def _spread_over_zones(studio: Studio, run: str, places: int) -> list[int]:

@@ -8,5 +8,6 @@
 
 and, from these three: studio.py (any frame of any run), simulate.py (runs as a dataset), regions.py
 (what teaches, chooses, judges), benchmarks.py (named worlds that never change), sheet.py (contact
-sheets) and exports (the layouts of recorded data sets).
+sheets) and exports (the layouts of recorded data sets). All of them use numeric.py: keyed random
+numbers and compiled kernels.
 """

@@ -150,8 +150,7 @@ def open_benchmark(
                 f"this adafusion builds {found[0]} and {found[1]}: numbers measured on it would "
                 "not compare; install a release whose `adafusion world list` shows no mismatch"
             )
-        info = describe_world(studio, part.regions, name)
-        info.sensors["settings"] = part.settings
+        info = describe_world(studio, part.regions, name, part.settings)
         render(studio, out, info, workers=workers, progress=progress)
     dataset = open_dataset(out)
     geometry, settings = (dataset.info.sensors.get(key) for key in ("geometry", "settings"))

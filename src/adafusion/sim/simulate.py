@@ -28,7 +28,9 @@ from adafusion.sim.studio import Job, Studio, make_job
 from adafusion.sim.town.world import geometry_hash
 from adafusion.types import Frame, Progress, UserError, silent
 
-WORLD_VERSION = "3"  # changes whenever the same seed would give other bytes
+# of this generator: changes whenever the same seed would give other bytes. The "v1" of the named
+# worlds counts apart: it stands for hashes, and a later version that still builds them keeps it
+WORLD_VERSION = "3"
 
 
 def simulate(
@@ -59,8 +61,13 @@ def simulate(
     return render(studio, out, describe_world(studio, regions), workers=workers, progress=progress)
 
 
-def describe_world(studio: Studio, regions: str, name: str | None = None) -> DatasetInfo:
-    """What the dataset of a studio's job says of itself."""
+def describe_world(
+    studio: Studio, regions: str, name: str | None = None, settings: str | None = None
+) -> DatasetInfo:
+    """What the dataset of a studio's job says of itself.
+
+    `name` and `settings` are those of a named world: what it is called, and its settings' hash.
+    """
     job = studio.job
     places = "all places" if job.places is None else f"{job.places} places a run"
     return DatasetInfo(
@@ -76,6 +83,7 @@ def describe_world(studio: Studio, regions: str, name: str | None = None) -> Dat
             "lidar": _plain(asdict(studio.lidar)),
             "conditions": {run: _plain(asdict(c)) for run, c in job.runs},
             "geometry": geometry_hash(studio.world),
+            **({} if settings is None else {"settings": settings}),
         },
         calibration={
             "K": studio.camera.K.tolist(),

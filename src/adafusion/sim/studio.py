@@ -14,12 +14,13 @@ from jaxtyping import Float, Float32, UInt8
 
 from adafusion.datasets.native import check_run_name
 from adafusion.sim.numeric import keyed_rng, keyed_seed
-from adafusion.sim.run.conditions import Conditions, preset, vary
+from adafusion.sim.run.conditions import Conditions, SeedName, preset, vary
+from adafusion.sim.run.parking import park_vehicles
 from adafusion.sim.run.route import Drive, drive
 from adafusion.sim.run.traffic import Traffic, plan_traffic, traffic_at
-from adafusion.sim.run.vehicles import park_vehicles
 from adafusion.sim.sensing.bvh import Bvh
-from adafusion.sim.sensing.camera import Camera, Motion, photograph
+from adafusion.sim.sensing.camera import Camera, photograph
+from adafusion.sim.sensing.lens import Motion
 from adafusion.sim.sensing.lidar import HDL_32E, HDL_64E, VLP_16, Lidar, scan
 from adafusion.sim.sensing.scene import Scene, build_scene, build_static, with_traffic
 from adafusion.sim.town.plan import WorldSpec
@@ -143,12 +144,12 @@ class Studio:
     def parked(self, run: str) -> Soup:
         """The cars that stand at the kerbs during a run."""
         density, path = self.conditions[run].parked_density, self.drive(run).path
-        return park_vehicles(self.world, self._seed(run, "parked"), density, path)
+        return park_vehicles(self.world, self._seed(run, "parked_seed"), density, path)
 
     def traffic(self, run: str) -> Traffic:
         """Who is on the move during a run."""
         c = self.conditions[run]
-        seed = self._seed(run, "traffic")
+        seed = self._seed(run, "traffic_seed")
         return plan_traffic(self.world, seed, c.traffic_density, c.people_density)
 
     def scene_at(self, run: str, time_us: int, T_world_body: Float[np.ndarray, "4 4"]) -> Scene:
@@ -177,7 +178,7 @@ class Studio:
     def image(self, run: str, k: int) -> UInt8[np.ndarray, "h w 3"]:
         """What the camera gives at the k-th frame of a run, its faults included."""
         c = self.conditions[run]
-        if keyed_rng(self._seed(run, "way"), "fault", k).random() >= c.camera_fault_share:
+        if keyed_rng(self._seed(run, "way_seed"), "fault", k).random() >= c.camera_fault_share:
             c = replace(c, camera_fault="")
         if c.camera_fault == "frozen":
             k, c = k - k % FROZEN_FRAMES, replace(c, camera_fault="")
@@ -216,10 +217,8 @@ class Studio:
 
     def _drive(self, run: str) -> Drive:
         return drive(
-            self.world, self.conditions[run], self._seed(run, "way"), places=self.job.places
+            self.world, self.conditions[run], self._seed(run, "way_seed"), places=self.job.places
         )
 
-    def _seed(self, run: str, of: str) -> int:
-        """The seed of one factor: as the conditions give it, else the run's own."""
-        given = getattr(self.conditions[run], f"{of}_seed")
-        return self.run_seed(run) if given is None else int(given)
+    def _seed(self, run: str, name: SeedName) -> int:
+        return self.conditions[run].seed_of(name, self.run_seed(run))

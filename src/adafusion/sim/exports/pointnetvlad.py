@@ -56,7 +56,7 @@ def lay_out(job: Job) -> Layout:
 
 def _pieces(studio: Studio) -> Iterator[Piece]:
     for run in studio.conditions:
-        submaps = _Submaps(Sweep(studio, run), (studio.job.seed, "run", run))
+        submaps = _Submaps(Sweep(studio, run), studio.job.seed, run)
         if not submaps.first:
             raise UserError(f"run {run!r} is shorter than {LENGTH_M:g} m: ask for more places")
         for first in submaps.first:
@@ -68,8 +68,8 @@ def _pieces(studio: Studio) -> Iterator[Piece]:
 class _Submaps:
     """The submaps of one run. Where those lie that were built is kept for the table."""
 
-    def __init__(self, sweep: Sweep, key: tuple[int | str, ...]) -> None:
-        self.sweep, self.key = sweep, key
+    def __init__(self, sweep: Sweep, seed: int, run: str) -> None:
+        self.sweep, self.seed, self.run = sweep, seed, run
         starts = np.arange(0.0, sweep.driven_m[-1] - LENGTH_M, STEP_M)
         self.first: list[int] = np.searchsorted(sweep.driven_m, starts).tolist()
         self._places: dict[int, tuple[float, float]] = {}
@@ -109,8 +109,15 @@ class _Submaps:
                 for k in range(first, last)
             ]
         )
-        rng = keyed_rng(*self.key, "submap", int(sweep.time_us[first]))
-        return make_submap(points, rng), T_ned_first
+        time_us = int(sweep.time_us[first])
+        try:
+            submap = make_submap(points, keyed_rng(self.seed, "run", self.run, "submap", time_us))
+        except ValueError as error:
+            raise UserError(
+                f"run {self.run!r} gives no submap at {time_us}: {error}; thin the fog that its "
+                "laser sees (lidar_fog_per_m), or leave the run out"
+            ) from error
+        return submap, T_ned_first
 
 
 class Submap(NamedTuple):
@@ -124,11 +131,14 @@ class Submap(NamedTuple):
 def make_submap(points: Float[np.ndarray, "n 3"], rng: np.random.Generator) -> Submap:
     """Cut the road, thin out to 4096 points, normalise and negate.
 
-    `points` are in a frame with z down, metres. ValueError where the road is all there is.
+    `points` are in a frame with z down, metres. ValueError where the road is all there is, or
+    nothing at all.
     """
+    if len(points) == 0:
+        raise ValueError("no scan had an echo")
     above = points[~on_road(points, rng)]
     if len(above) == 0:
-        raise ValueError("a submap of the road alone")
+        raise ValueError("its scans see the road alone")
     points = thin_out(above, rng)
     centroid = points.mean(axis=0)
     points = points - centroid

@@ -32,7 +32,8 @@ from adafusion.sim.exports.pushbroom import (
     mounting,
 )
 from adafusion.sim.run.route import pose_along
-from adafusion.sim.sensing.camera import Camera, mosaic
+from adafusion.sim.sensing.camera import Camera
+from adafusion.sim.sensing.sensor import mosaic
 from adafusion.sim.studio import PROFILES, Job, Studio
 
 WIDTH, HEIGHT, FOCAL = 1280, 960, 964.829  # of the stereo camera's pictures, pixels

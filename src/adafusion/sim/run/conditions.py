@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -43,7 +43,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "lidar_dead_beams": (0.0, 1.0),
 }
 _COLOURS = ("sun_rgb", "zenith_rgb", "horizon_rgb", "cloud_rgb", "window_rgb")
-_SEEDS = ("parked_seed", "traffic_seed", "window_seed", "cloud_seed", "way_seed")
+SeedName = Literal["parked_seed", "traffic_seed", "window_seed", "cloud_seed", "way_seed"]
+_SEEDS: tuple[SeedName, ...] = get_args(SeedName)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +118,11 @@ class Conditions:
             raise ValueError(
                 f"camera_fault = {self.camera_fault!r} is none of {', '.join(CAMERA_FAULTS[1:])}"
             )
+
+    def seed_of(self, name: SeedName, run_seed: int) -> int:
+        """The seed of one factor: as given, else the run's own."""
+        given: int | None = getattr(self, name)
+        return run_seed if given is None else given
 
 
 _OVERCAST = Conditions(
@@ -231,6 +237,12 @@ def preset(name: str) -> Conditions:
     if name not in PRESETS:
         raise UserError(f"unknown conditions {name!r}; choose from {', '.join(sorted(PRESETS))}")
     return PRESETS[name]
+
+
+def with_seeds(conditions: Conditions, seed: int) -> Conditions:
+    """The conditions with the seeds of all factors given: runs that share them differ in noise."""
+    seeds: dict[str, Any] = dict.fromkeys(_SEEDS, seed)
+    return replace(conditions, **seeds)
 
 
 def vary(conditions: Conditions, rng: np.random.Generator) -> Conditions:

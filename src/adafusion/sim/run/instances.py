@@ -38,12 +38,12 @@ def place(instances: Sequence[Instance]) -> Soup:
         objects.append(table)
         kinds.extend(shape.kinds)
     return Soup(
-        np.concatenate(corners),
-        np.concatenate([thing.prototype.uv for thing in instances]),
-        np.concatenate([thing.prototype.material for thing in instances]),
-        np.concatenate(object_id),
-        np.concatenate(objects),
-        tuple(kinds),
+        corners=np.concatenate(corners),
+        uv=np.concatenate([thing.prototype.uv for thing in instances]),
+        material=np.concatenate([thing.prototype.material for thing in instances]),
+        object_id=np.concatenate(object_id),
+        objects=np.concatenate(objects),
+        kinds=tuple(kinds),
     )
 
 

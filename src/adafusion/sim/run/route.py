@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -17,13 +18,14 @@ from scipy.sparse.csgraph import dijkstra
 from adafusion.geometry import rotation_from_rpy
 from adafusion.sim.numeric import keyed_rng
 from adafusion.sim.run.conditions import Conditions
-from adafusion.sim.town.plan import offset_line
+from adafusion.sim.town.plan import INDOORS, along, offset_line, resampled
 from adafusion.sim.town.world import World, zone_labels
 
-STEP_M = 0.5  # of the dense path
+STEP_M = 0.5  # of the dense path, along the route's middle line
+KEYFRAME_M = 10.0
 LANE_M = -1.2  # lateral middle of the lane driven: right of the street's middle line
 LEAD_M = 15.0  # of route beyond the last of a given number of places
-YAW_RAD_S = 1.0  # nobody turns faster
+YAW_RAD_S = 1.0  # largest rate that the motion blur is told of; the path itself may turn faster
 SIDEWAYS_M_S2 = 1.5  # acceleration that a driver allows in a bend
 
 
@@ -36,8 +38,8 @@ class Drive:
     timestamp_us: Int64[np.ndarray, " n"]
     zone: tuple[str, ...]  # "street", "park", "path", "corridor" ...
     speed_m_s: Float64[np.ndarray, " n"]
-    yaw_rate_rad_s: Float64[np.ndarray, " n"]  # to the left
-    path: Float64[np.ndarray, "m 2"]  # where the vehicle went, every half metre
+    yaw_rate_rad_s: Float64[np.ndarray, " n"]  # to the left, `YAW_RAD_S` at most
+    path: Float64[np.ndarray, "m 2"]  # where the vehicle went, about every half metre
     path_heading_rad: Float64[np.ndarray, " m"]  # without jumps of a whole turn
     path_tilt_rad: Float64[np.ndarray, "m 2"]  # roll and pitch on its springs
     path_time_us: Int64[np.ndarray, " m"]
@@ -69,7 +71,7 @@ def plan_route(world: World) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.nda
         def cost(k: int, here: int = here, back: int = arrived_from) -> tuple[float, bool, int]:
             a, b = world.streets[k].ends
             turn = 60.0 if back in (a, b) and here in (a, b) else 0.0  # no U-turns where avoidable
-            through = world.streets[k].kind not in ("street", "path")
+            through = world.streets[k].kind in INDOORS
             return min(distance[here, a], distance[here, b]) + turn, not through, k
 
         target = min(waiting, key=cost)
@@ -97,83 +99,126 @@ def plan_route(world: World) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.nda
 
 
 def drive(
-    world: World,
-    conditions: Conditions,
-    way_seed: int,
-    *,
-    keyframe_m: float = 10.0,
-    places: int | None = None,
+    world: World, conditions: Conditions, way_seed: int, *, places: int | None = None
 ) -> Drive:
     """Drive the route once; every random number belongs to `way_seed`.
 
-    A frame about every `keyframe_m` metres, the first at a phase of the run's own; with `places`
-    only so many of the route's first, in either direction. Offset from the lane and heading wander
+    A frame about every `KEYFRAME_M`, the first at a phase of the run's own; with `places` only so
+    many of the route's first, in either direction. Offset from the lane and heading wander
     smoothly, less so indoors; for `conditions.other_lane` of the way the vehicle is in the lane
     beside its own. A vehicle in reverse keeps to its own right: the other side of the street.
     """
+    rng = keyed_rng(way_seed, "drive")  # drawn from in this order: path, keyframes, first moment
+    path = _path(_lane(world, conditions, places), conditions, way_seed, rng)
+    rows = _keyframes(path, rng)[:places]
+    speed, elapsed_s = _timing(path, way_seed)
+    begin_us = _first_moment_us(rng)
+    T_world_body = _stand(world, path.xy[rows], path.heading_rad[rows], path.tilt_rad[rows])
+    yaw_rate = np.gradient(path.heading_rad, elapsed_s)[rows]
+    return Drive(
+        T_world_body=T_world_body,
+        T_world_ins=_ins(T_world_body, path.driven_m[rows], keyed_rng(way_seed, "drive", "ins")),
+        timestamp_us=begin_us + np.round(elapsed_s[rows] * 1e6).astype(np.int64),
+        zone=zone_labels(world, path.xy[rows]),
+        speed_m_s=speed[rows],
+        yaw_rate_rad_s=np.clip(yaw_rate, -YAW_RAD_S, YAW_RAD_S),
+        path=path.xy,
+        path_heading_rad=path.heading_rad,
+        path_tilt_rad=path.tilt_rad,
+        path_time_us=begin_us + np.round(elapsed_s * 1e6).astype(np.int64),
+    )
+
+
+class _Lane(NamedTuple):
+    """The part of the route that a run drives, every half metre in the run's direction."""
+
+    middle: Float64[np.ndarray, "m 2"]  # of the streets, its corners rounded
+    lateral_m: Float64[np.ndarray, " m"]  # of the lane's own middle, to the left
+    narrow: Float64[np.ndarray, " m"]  # 1 indoors and at the doors, 0 elsewhere
+
+
+class _Path(NamedTuple):
+    """Where the vehicle goes, about every half metre, and how it stands there."""
+
+    xy: Float64[np.ndarray, "m 2"]
+    heading_rad: Float64[np.ndarray, " m"]
+    tilt_rad: Float64[np.ndarray, "m 2"]
+    driven_m: Float64[np.ndarray, " m"]  # from the first point
+    narrow: Float64[np.ndarray, " m"]
+
+
+def _lane(world: World, conditions: Conditions, places: int | None) -> _Lane:
+    """The same for all runs in one direction: nothing is drawn here."""
     middle, lane = plan_route(world)
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(middle, axis=0).T))])
-    end = along[-1] if places is None else min(along[-1], places * keyframe_m + LEAD_M)
+    s_m = along(middle)
+    end = s_m[-1] if places is None else min(s_m[-1], places * KEYFRAME_M + LEAD_M)
     s = np.arange(0.0, end, STEP_M)
     if conditions.reverse:
         s = s[::-1]
-    xy = np.column_stack([np.interp(s, along, middle[:, 0]), np.interp(s, along, middle[:, 1])])
-    lateral = gaussian_filter1d(np.interp(s, along, lane), 6.0 / STEP_M)
-    narrow = np.zeros(len(s))  # 1 indoors and at the doors
+    xy = resampled(middle, s)
+    narrow = np.zeros(len(s))
     for zone in world.zones:
         if zone.indoor:
             narrow = np.maximum(narrow, [zone.contains(x, y, 8.0) for x, y in xy])
-    narrow = gaussian_filter1d(narrow.astype(float), 4.0 / STEP_M)
-    xy = gaussian_filter1d(xy, 3.0 / STEP_M, axis=0, mode="nearest")  # corners are driven round
+    return _Lane(
+        gaussian_filter1d(xy, 3.0 / STEP_M, axis=0, mode="nearest"),
+        gaussian_filter1d(np.interp(s, s_m, lane), 6.0 / STEP_M),
+        gaussian_filter1d(narrow.astype(float), 4.0 / STEP_M),
+    )
 
-    def wander(purpose: str, sigma_m: float) -> Float64[np.ndarray, " n"]:
-        noise = keyed_rng(way_seed, "drive", purpose).standard_normal(len(s))
-        smooth = gaussian_filter1d(noise, sigma_m / STEP_M, mode="wrap")
-        return smooth / max(float(smooth.std()), 1e-9)
 
-    rng = keyed_rng(way_seed, "drive")
+def _path(lane: _Lane, conditions: Conditions, way_seed: int, rng: np.random.Generator) -> _Path:
+    """Wander about the lane, now and then in the one beside it."""
+    n, narrow, lateral = len(lane.narrow), lane.narrow, lane.lateral_m
     bias = float(rng.uniform(-1.2, 1.2))
-    shift = conditions.path_offset_m * np.tanh(bias + 0.5 * wander("offset", 25.0))
+    shift = conditions.path_offset_m * np.tanh(bias + 0.5 * _wander(way_seed, "offset", n, 25.0))
     if conditions.other_lane > 0.0:
-        noise = wander("lane", 20.0)
+        noise = _wander(way_seed, "lane", n, 20.0)
         beside = noise > np.quantile(noise, 1.0 - conditions.other_lane)
         lateral = lateral * (1.0 - 2.0 * gaussian_filter1d(beside.astype(float), 5.0 / STEP_M))
     lateral = lateral * (1 - narrow) + shift * ((1 - narrow) + 0.25 * narrow)
-    path = offset_line(xy, lateral)
-    path = gaussian_filter1d(path, 1.0 / STEP_M, axis=0, mode="nearest")
-    ahead = np.gradient(gaussian_filter1d(path, 2.0 / STEP_M, axis=0, mode="nearest"), axis=0)
-    noise = conditions.heading_noise_rad * wander("heading", 6.0)
+    xy = offset_line(lane.middle, lateral)
+    xy = gaussian_filter1d(xy, 1.0 / STEP_M, axis=0, mode="nearest")
+    ahead = np.gradient(gaussian_filter1d(xy, 2.0 / STEP_M, axis=0, mode="nearest"), axis=0)
+    noise = conditions.heading_noise_rad * _wander(way_seed, "heading", n, 6.0)
     heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])) + noise * (1 - 0.5 * narrow)
-    tilt = np.column_stack([wander("roll", 1.5), wander("pitch", 1.5)]) * math.radians(0.45)
+    tilt = [_wander(way_seed, axis, n, 1.5) for axis in ("roll", "pitch")]
+    return _Path(xy, heading, np.column_stack(tilt) * math.radians(0.45), along(xy), narrow)
 
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+
+def _wander(way_seed: int, purpose: str, n: int, sigma_m: float) -> Float64[np.ndarray, " n"]:
+    """Noise of deviation 1 along n points of a path, smooth over `sigma_m`."""
+    noise = keyed_rng(way_seed, "drive", purpose).standard_normal(n)
+    smooth = gaussian_filter1d(noise, sigma_m / STEP_M, mode="wrap")
+    return smooth / max(float(smooth.std()), 1e-9)
+
+
+def _keyframes(path: _Path, rng: np.random.Generator) -> Int64[np.ndarray, " k"]:
+    """Rows of the path, about `KEYFRAME_M` apart."""
     # two rounds of the same spacing would put their frames at the same points
-    keys = np.arange(float(rng.uniform(0.0, keyframe_m)), driven[-1], keyframe_m)
-    keys = keys + rng.uniform(-0.15, 0.15, len(keys)) * keyframe_m
-    rows = np.unique(np.clip(np.searchsorted(driven, keys), 0, len(s) - 1))
+    keys = np.arange(float(rng.uniform(0.0, KEYFRAME_M)), path.driven_m[-1], KEYFRAME_M)
+    keys = keys + rng.uniform(-0.15, 0.15, len(keys)) * KEYFRAME_M
+    rows = np.unique(np.clip(np.searchsorted(path.driven_m, keys), 0, len(path.xy) - 1))
     # a turn on the spot folds the path: what comes back to the frame before is no new place
-    apart = np.hypot(*np.diff(path[rows], axis=0, prepend=np.inf).T) > 0.5 * keyframe_m
-    rows = rows[apart][:places]
-    speed = (4.5 + 1.5 * np.tanh(wander("speed", 40.0))) * (1.0 - 0.5 * narrow)
-    step = np.maximum(np.diff(driven, prepend=-STEP_M), 0.05)
-    bend = np.abs(np.gradient(gaussian_filter1d(heading, 2.0 / STEP_M))) / step
+    apart = np.hypot(*np.diff(path.xy[rows], axis=0, prepend=np.inf).T)
+    return rows[apart > 0.5 * KEYFRAME_M]
+
+
+def _timing(
+    path: _Path, way_seed: int
+) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+    """Speed at each point of the path, slow indoors and in bends, and the seconds to there."""
+    wander = _wander(way_seed, "speed", len(path.xy), 40.0)
+    speed = (4.5 + 1.5 * np.tanh(wander)) * (1.0 - 0.5 * path.narrow)
+    step = np.maximum(np.diff(path.driven_m, prepend=-STEP_M), 0.05)
+    bend = np.abs(np.gradient(gaussian_filter1d(path.heading_rad, 2.0 / STEP_M))) / step
     speed = np.minimum(speed, np.sqrt(SIDEWAYS_M_S2 / np.maximum(bend, 1e-3)))
-    clock = np.cumsum(step / speed)
-    # a day of its own for every run, within one year from 2026-01-01
-    begin = 1_767_225_600_000_000 + int(rng.integers(0, 365 * 86_400 * 10)) * 100_000
-    T_world_body = _stand(world, path[rows], heading[rows], tilt[rows])
-    return Drive(
-        T_world_body,
-        _ins(T_world_body, driven[rows], keyed_rng(way_seed, "drive", "ins")),
-        begin + np.round(clock[rows] * 1e6).astype(np.int64),
-        zone_labels(world, path[rows]),
-        speed[rows],
-        np.clip(np.gradient(heading, clock)[rows], -YAW_RAD_S, YAW_RAD_S),
-        path,
-        heading,
-        tilt,
-        begin + np.round(clock * 1e6).astype(np.int64),
-    )
+    return speed, np.cumsum(step / speed)
+
+
+def _first_moment_us(rng: np.random.Generator) -> int:
+    """A day of its own for every run, within one year from 2026-01-01."""
+    return 1_767_225_600_000_000 + int(rng.integers(0, 365 * 86_400 * 10)) * 100_000
 
 
 def pose_along(

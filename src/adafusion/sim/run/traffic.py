@@ -22,7 +22,7 @@ from adafusion.sim.town.shapes import Soup
 from adafusion.sim.town.world import World
 
 END_M = 12.0  # nobody comes nearer to the end of a street
-LANE_M = -1.95  # lateral middle of a vehicle on its way: it keeps to the right
+TRAFFIC_LANE_M = -1.95  # lateral middle of a vehicle on its way: it keeps to the right
 SLOT_M = 18.0  # of the way round a street, for one vehicle
 WALK_M = (6.75, 7.3)  # lateral place of people, between the lamps and what stands at the walls
 NEAREST_M = 3.5  # nothing comes nearer to the run's own vehicle
@@ -82,7 +82,7 @@ def plan_traffic(world: World, seed: int, vehicles: float, people: float) -> Tra
         count = min(int(rng.poisson(vehicles * span / 40.0)), slots)
         for k in rng.permutation(slots)[:count].tolist():
             model = int(rng.choice(len(VEHICLES), p=VEHICLE_ODDS))
-            lateral = LANE_M + float(rng.uniform(-0.15, 0.15))
+            lateral = TRAFFIC_LANE_M + float(rng.uniform(-0.15, 0.15))
             phase = (k + float(rng.uniform(0.0, 0.3))) * 2.0 * span / slots
             tint = paint_of(VEHICLES[model], rng)
             driving.append((begin, span, lateral, speed, phase, model, 1.0, tint))
@@ -106,14 +106,14 @@ def _collect(movers: list[Mover], tints: int) -> Movers:
         zip(*movers, strict=True) if movers else [()] * 8
     )
     return Movers(
-        np.array(begin, float),
-        np.array(span, float),
-        np.array(lateral, float),
-        np.array(speed, float),
-        np.array(phase, float),
-        np.array(model, np.int64),
-        np.array(size, float),
-        np.array(colours, float).reshape(-1, tints, 3),
+        begin_m=np.array(begin, float),
+        span_m=np.array(span, float),
+        lateral_m=np.array(lateral, float),
+        speed_m_s=np.array(speed, float),
+        phase_m=np.array(phase, float),
+        model=np.array(model, np.int64),
+        size=np.array(size, float),
+        tints=np.array(colours, float).reshape(-1, tints, 3),
     )
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cars, vans, buses and lorries, each built once; and those that one run finds at the kerbs."""
+"""Cars, vans, buses and lorries: of each kind one shape, built once."""
 
 from __future__ import annotations
 
@@ -10,18 +10,8 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Float, Float64
-from scipy.spatial import KDTree
 
-from adafusion.sim.numeric import keyed_rng
-from adafusion.sim.run.instances import Instance, place, standing
-from adafusion.sim.town.plan import ROAD_HALF_M, along, leftward, point_on
-from adafusion.sim.town.shapes import Material, Soup, SoupBuilder, rectangle
-from adafusion.sim.town.world import World
-
-PARKING_M = 4.5  # lateral middle of a parked car
-BAY_M = 5.9  # length of a parking place
-CLEAR_M = 2.0  # nothing stands nearer to the way of the run's own vehicle
-LIT = 1  # style of the lamps of a vehicle that drives: those of a parked one are off
+from adafusion.sim.town.shapes import LIT, Material, Soup, SoupBuilder, rectangle
 
 # a hull is drawn through cross-sections, each a polygon of one half:
 # share of the half width, share of the way from the underside to the shoulder
@@ -144,19 +134,19 @@ def vehicle(shape: VehicleShape, *, lit: bool) -> Soup:
     soup = SoupBuilder()
     paint = soup.add_object("car")
     trim = soup.add_object("car", (0.02, 0.02, 0.02))
-    site = _Site(soup, shape)
-    site.add_hull(paint)
-    site.add_cabin(paint)
+    body = _Bodywork(soup, shape)
+    body.add_hull(paint)
+    body.add_cabin(paint)
     if shape is LORRY:
-        site.add_box(trim)
+        body.add_box(trim)
     for x in shape.wheels:
         for side in (1.0, -1.0):
-            site.add_wheel(x, side, trim)
-    site.add_ends(trim, LIT if lit else 0)
+            body.add_wheel(x, side, trim)
+    body.add_ends(trim, LIT if lit else 0)
     return soup.build()
 
 
-class _Site:
+class _Bodywork:
     """A vehicle in the making: puts quads at (x from its rear, y to its left, z up)."""
 
     def __init__(self, soup: SoupBuilder, shape: VehicleShape) -> None:
@@ -323,49 +313,3 @@ def _fan(outline: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "k 4 3"]:
     """Quads that fill a convex outline."""
     n = len(outline)
     return np.array([outline[[0, i, i + 1, min(i + 2, n - 1)]] for i in range(1, n - 1, 2)])
-
-
-def _on_another_road(world: World, own: int, xy: Float64[np.ndarray, " 2"]) -> bool:
-    """Whether a place at the kerb of street `own` lies on an oblique neighbour."""
-    return any(
-        np.hypot(*(street.line - xy).T).min() < ROAD_HALF_M + 1.0
-        for e, street in enumerate(world.streets)
-        if e != own and street.kind == "street"
-    )
-
-
-def park_vehicles(world: World, seed: int, density: float, path: Float[np.ndarray, "n 2"]) -> Soup:
-    """Vehicles at the kerbs in `density` of the places, some streets fuller than others.
-
-    Each place asks a number of its own: a denser run keeps the cars of a sparser one with the same
-    seed. Nothing stands on the `path` that the run takes.
-    """
-    way, found = KDTree(path), []
-    for e, street in enumerate(world.streets):
-        if street.kind != "street":
-            continue
-        length = float(along(street.line)[-1])
-        busy = keyed_rng(world.spec.seed, "street", e, "parking").uniform(0.2, 1.8, 2)
-        for side, busyness in ((1, busy[1]), (-1, busy[0])):
-            for k, s in enumerate(np.arange(15.0, length - 16.0, BAY_M).tolist()):
-                rng = keyed_rng(seed, "street", e, side, "parked", k)
-                if rng.random() >= density * busyness:
-                    continue
-                xy, yaw = point_on(street.line, s + float(rng.uniform(-0.4, 0.4)))
-                xy = xy + leftward(yaw) * side * (PARKING_M + float(rng.uniform(-0.15, 0.15)))
-                if way.query(xy)[0] <= CLEAR_M or _on_another_road(world, e, xy):
-                    continue
-                # on the left of the line they come towards us
-                yaw += (math.pi if side > 0 else 0.0) + float(rng.normal(0.0, 0.02))
-                shape = CARS[int(rng.choice(len(CARS), p=CAR_ODDS))]
-                found.append((shape, paint_of(shape, rng), xy, yaw))
-    if not found:
-        return place([])
-    shapes, paints, xy, yaw = zip(*found, strict=True)
-    poses = standing(world.hills, np.array(xy), np.array(yaw))
-    return place(
-        [
-            Instance(vehicle(shape, lit=False), T, paint)
-            for shape, T, paint in zip(shapes, poses, paints, strict=True)
-        ]
-    )

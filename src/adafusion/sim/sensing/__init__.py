@@ -5,5 +5,6 @@
 World, parked, traffic -> Scene   scene.py over bvh.py
 Scene -> radiance                 rendering.py, with textures.py, lighting.py, weather.py
 radiance -> picture               camera.py: lens.py, then sensor.py
-Scene -> points                   lidar.py
+ray <-> pixel                     projection.py
+Scene -> points                   lidar.py, with textures.py, weather.py
 """

@@ -15,12 +15,10 @@ from adafusion.sim.run.conditions import Conditions
 from adafusion.sim.sensing.bvh import new_stack
 from adafusion.sim.sensing.lens import STILL, Motion, smear, smudge, spatter, spread, sun_veil
 from adafusion.sim.sensing.lighting import Light, light_of, nearest_lamps
-from adafusion.sim.sensing.rendering import View, render, undistorted
-from adafusion.sim.sensing.scene import Scene, blocked, zone_of
+from adafusion.sim.sensing.projection import Brown, View, distorted, undistorted
+from adafusion.sim.sensing.rendering import render
+from adafusion.sim.sensing.scene import Scene, blocked, shelters, zone_of
 from adafusion.sim.sensing.sensor import BAYER, Sensor, demosaic, develop, meter, mosaic
-from adafusion.sim.sensing.weather import shelters
-
-__all__ = ["Camera", "Motion", "mosaic", "photograph", "radiance"]
 
 _INDOORS_M = 80.0  # a passage farther away is not looked into: the haze before it is all one
 _SNOW_BIAS = 2.0  # a meter takes snow for grey; its owner tells it better
@@ -37,7 +35,7 @@ class Camera:
 
     size: tuple[int, int] = (150, 200)
     focal: float = 0.72  # focal length over image width
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: Brown = (0.0, 0.0, 0.0, 0.0, 0.0)
     bayer: str = ""
     height_m: float = 1.6
     forward_m: float = 0.4
@@ -79,13 +77,13 @@ class Camera:
     def sensor(self) -> Sensor:
         """What its sensor counts with."""
         return Sensor(
-            self.full_well,
-            self.sensitivity,
-            self.shortest_s,
-            self.longest_s,
-            self.largest_gain,
-            self.read_noise,
-            self.key,
+            full_well=self.full_well,
+            sensitivity=self.sensitivity,
+            shortest_s=self.shortest_s,
+            longest_s=self.longest_s,
+            largest_gain=self.largest_gain,
+            read_noise=self.read_noise,
+            key=self.key,
         )
 
     def view(self, T_world_body: Float[np.ndarray, "4 4"]) -> View:
@@ -93,25 +91,25 @@ class Camera:
         T, K = T_world_body @ self.T_body_camera, self.K
         x, y, z = T[:3, 3].tolist()
         return View(
-            (x, y, z), T[:3, :3].copy(), K[0, 0], K[1, 1], K[0, 2], K[1, 2], self.distortion
+            eye=(x, y, z),
+            R_world_camera=T[:3, :3].copy(),
+            fx=K[0, 0],
+            fy=K[1, 1],
+            cx=K[0, 2],
+            cy=K[1, 2],
+            distortion=self.distortion,
         )
 
     def _is_one_to_one(self) -> bool:
         """Whether every pixel of the rim comes back to itself through lens and inverse."""
         h, w = self.size
         K = self.K
-        k1, k2, p1, p2, k3 = self.distortion
         for i in np.linspace(0.0, h - 1.0, 9).tolist():
             for j in np.linspace(0.0, w - 1.0, 9).tolist():
                 x, y = (j - K[0, 2]) / K[0, 0], (i - K[1, 2]) / K[1, 1]
                 u, v = undistorted(x, y, self.distortion)
-                r2 = u * u + v * v
-                radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-                back = (
-                    u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u),
-                    v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v,
-                )
-                if not math.hypot(back[0] - x, back[1] - y) * K[0, 0] < 0.05:  # NaN too
+                back_x, back_y = distorted(u, v, self.distortion)
+                if not math.hypot(back_x - x, back_y - y) * K[0, 0] < 0.05:  # NaN too
                     return False
         return True
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 
 from adafusion.sim.numeric import Vector, inlined, kernel, keyed_rng, smooth
-from adafusion.sim.sensing.rendering import View, undistorted
+from adafusion.sim.sensing.projection import View, undistorted
 
 # A sharp core and two wide skirts, as shares of the light. Linear: a lamp blooms because it is
 # a thousand times as bright as its street, and no threshold decides what a lamp is.

@@ -14,12 +14,18 @@ from jaxtyping import Bool, Float, Float32, Float64
 from adafusion.sim.numeric import Vector, inlined, kernel, keyed_rng, normal, uniform
 from adafusion.sim.run.conditions import Conditions
 from adafusion.sim.sensing.bvh import new_stack
-from adafusion.sim.sensing.scene import Scene, outdoor_length, texture_uv, trace_scene, zone_of
+from adafusion.sim.sensing.scene import (
+    Scene,
+    outdoor_length,
+    shelters,
+    texture_uv,
+    trace_scene,
+    zone_of,
+)
 from adafusion.sim.sensing.textures import REFLECTIVITY, SHOP_WINDOW, WINDOW, window_at
 from adafusion.sim.sensing.weather import (
     SNOW_REFLECTIVITY,
     rain_extinction,
-    shelters,
     snow_on,
     soaked,
     water_on,
@@ -161,17 +167,17 @@ def measure(
     """
     rain = rain_extinction(conditions.rain_mm_h)
     sensor = _Sensor(
-        lidar.range_m,
-        lidar.nearest_m,
-        lidar.sigma_m,
-        lidar.drop_out,
-        lidar.power_half,
-        lidar.glass_loss,
-        conditions.lidar_fog_per_m + rain,
-        conditions.lidar_scatter_per_m + _SCATTER_PER_EXTINCTION * rain,
-        float(conditions.foliage),
-        float(conditions.wetness),
-        float(conditions.snow_cover),
+        range_m=lidar.range_m,
+        nearest_m=lidar.nearest_m,
+        sigma_m=lidar.sigma_m,
+        drop_out=lidar.drop_out,
+        power_half=lidar.power_half,
+        glass_loss=lidar.glass_loss,
+        fog=conditions.lidar_fog_per_m + rain,
+        scatter=conditions.lidar_scatter_per_m + _SCATTER_PER_EXTINCTION * rain,
+        foliage=float(conditions.foliage),
+        wetness=float(conditions.wetness),
+        snow=float(conditions.snow_cover),
     )
     ranges = np.zeros(len(directions_world))
     indoors = shelters(scene.zones, origin, lidar.range_m)

@@ -76,7 +76,7 @@ def light_of(c: Conditions, run_seed: int) -> Light:
         horizon=c.horizon_rgb,
         cloud=c.cloud_rgb,
         cloud_cover=float(c.cloud_cover),
-        cloud_seed=keyed_seed(run_seed if c.cloud_seed is None else c.cloud_seed, "clouds"),
+        cloud_seed=keyed_seed(c.seed_of("cloud_seed", run_seed), "clouds"),
         above=(float(above[0]), float(above[1]), float(above[2])),
         below=(float(below[0]), float(below[1]), float(below[2])),
         fog=float(c.fog_per_m) + rain_extinction(c.rain_mm_h),
@@ -86,7 +86,7 @@ def light_of(c: Conditions, run_seed: int) -> Light:
         snow=float(c.snow_cover),
         lit_windows=float(c.lit_windows),
         window=c.window_rgb,
-        window_seed=keyed_seed(run_seed if c.window_seed is None else c.window_seed, "windows"),
+        window_seed=keyed_seed(c.seed_of("window_seed", run_seed), "windows"),
         street_lamps=float(c.street_lamps),
         headlights=float(c.headlights),
     )

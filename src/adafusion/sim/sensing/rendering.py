@@ -9,13 +9,11 @@ on edges get two more rays, those on wet ground one that is mirrored.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
 from adafusion.sim.numeric import Vector, dot, inlined, kernel, smooth, step, unit
-from adafusion.sim.run.vehicles import LIT
 from adafusion.sim.sensing.bvh import Stack, new_stack
 from adafusion.sim.sensing.lighting import (
     LAMP_RADIANCE,
@@ -25,6 +23,7 @@ from adafusion.sim.sensing.lighting import (
     ambient_on,
     sky_radiance,
 )
+from adafusion.sim.sensing.projection import View, undistorted
 from adafusion.sim.sensing.scene import (
     Scene,
     blocked,
@@ -35,7 +34,7 @@ from adafusion.sim.sensing.scene import (
 )
 from adafusion.sim.sensing.textures import surface
 from adafusion.sim.sensing.weather import SNOW_RGB, snow_on, soaked, water_on
-from adafusion.sim.town.shapes import STYLE, Material
+from adafusion.sim.town.shapes import LIT, STYLE, Material
 
 FAR_M = 400.0
 _LEAF, _CAR_BODY = int(Material.LEAF), int(Material.CAR_BODY)
@@ -45,18 +44,6 @@ _LAMP, _CAR_LIGHT = int(Material.LAMP), int(Material.CAR_LIGHT)
 _VISIBLE, _DEPTH, _SURFACE, _WATER, _LAYERS = 6, 7, 8, 9, 10
 _PIXELS, _EDGES, _MIRRORED = range(3)  # sweeps over the picture
 _NO_SKY, _MIRROR = -1, -2  # rays that cast none for occlusion; the second kind left a puddle
-
-
-class View(NamedTuple):
-    """Where a camera is and how it projects; the last is Brown's k1, k2, p1, p2, k3."""
-
-    eye: Vector
-    R_world_camera: np.ndarray
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, float, float, float, float]
 
 
 @kernel
@@ -130,25 +117,6 @@ def _direction(view: View, i: float, j: float) -> Vector:
         (R[1, 0] * x + R[1, 1] * y + R[1, 2]) * size,
         (R[2, 0] * x + R[2, 1] * y + R[2, 2]) * size,
     )
-
-
-@inlined
-def undistorted(
-    x: float, y: float, distortion: tuple[float, float, float, float, float]
-) -> tuple[float, float]:
-    """Where a ray that the lens bends to (x, y) on the plane at depth 1 would meet it unbent."""
-    k1, k2, p1, p2, k3 = distortion
-    if k1 == 0.0 and k2 == 0.0 and p1 == 0.0 and p2 == 0.0 and k3 == 0.0:
-        return x, y
-    u, v = x, y
-    for _ in range(20):  # a fixed point: Brown's polynomial has no inverse in closed form
-        r2 = u * u + v * v
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        u, v = (
-            (x - 2.0 * p1 * u * v - p2 * (r2 + 2.0 * u * u)) / radial,
-            (y - p1 * (r2 + 2.0 * v * v) - 2.0 * p2 * u * v) / radial,
-        )
-    return u, v
 
 
 @inlined

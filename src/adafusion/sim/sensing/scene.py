@@ -40,18 +40,17 @@ def build_scene(world: World, static: Bvh, parked: Soup) -> Scene:
     normal, uv, uv_per_m = (
         np.concatenate(pair) for pair in zip(_measure(soup), _measure(parked), strict=True)
     )
+    indoors = [(*zone.lower, *zone.upper, zone.light) for zone in world.zones if zone.indoor]
     return Scene(
-        join_bvh(static, _tree(parked)),
-        _tree(SoupBuilder().build()),
-        normal,
-        uv,
-        uv_per_m,
-        np.concatenate([soup.material, parked.material]),
-        np.concatenate([soup.object_id, parked.object_id + np.int32(len(soup.objects))]),
-        np.concatenate([soup.objects, parked.objects]),
-        np.array(
-            [(*zone.lower, *zone.upper, zone.light) for zone in world.zones if zone.indoor], float
-        ).reshape(-1, 7),
+        still=join_bvh(static, _tree(parked)),
+        traffic=_tree(SoupBuilder().build()),
+        normal=normal,
+        uv=uv,
+        uv_per_m=uv_per_m,
+        material=np.concatenate([soup.material, parked.material]),
+        object_id=np.concatenate([soup.object_id, parked.object_id + np.int32(len(soup.objects))]),
+        objects=np.concatenate([soup.objects, parked.objects]),
+        zones=np.array(indoors, float).reshape(-1, 7),
     )
 
 
@@ -65,16 +64,14 @@ def with_traffic(scene: Scene, soup: Soup) -> Scene:
     if len(soup.corners) == 0:
         return scene
     normal, uv, uv_per_m = _measure(soup)
-    return Scene(
-        scene.still,
-        _tree(soup),
-        np.concatenate([scene.normal, normal]),
-        np.concatenate([scene.uv, uv]),
-        np.concatenate([scene.uv_per_m, uv_per_m]),
-        np.concatenate([scene.material, soup.material]),
-        np.concatenate([scene.object_id, soup.object_id + np.int32(len(scene.objects))]),
-        np.concatenate([scene.objects, soup.objects]),
-        scene.zones,
+    return scene._replace(
+        traffic=_tree(soup),
+        normal=np.concatenate([scene.normal, normal]),
+        uv=np.concatenate([scene.uv, uv]),
+        uv_per_m=np.concatenate([scene.uv_per_m, uv_per_m]),
+        material=np.concatenate([scene.material, soup.material]),
+        object_id=np.concatenate([scene.object_id, soup.object_id + np.int32(len(scene.objects))]),
+        objects=np.concatenate([scene.objects, soup.objects]),
     )
 
 
@@ -102,6 +99,14 @@ def _measure(
         soup.uv.reshape(-1, 6),
         (np.sqrt(np.maximum(square, 0.0)) / area[:, None]).astype(np.float32),
     )
+
+
+def shelters(
+    zones: Float64[np.ndarray, "z 7"], eye: Vector, reach_m: float
+) -> Float64[np.ndarray, "k 7"]:
+    """The indoor zones within `reach_m` of a point: few enough to ask every ray about."""
+    apart = np.maximum(np.maximum(zones[:, :3] - eye, eye - zones[:, 3:6]), 0.0)
+    return zones[np.linalg.norm(apart, axis=1) < reach_m]
 
 
 @inlined

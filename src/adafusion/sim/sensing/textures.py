@@ -53,8 +53,8 @@ Row = Float32[np.ndarray, " 16"]  # of the object table
 # numba freezes module globals; an enum member would be a slow lookup
 _ASPHALT, _PAVING, _GRASS = int(Material.ASPHALT), int(Material.PAVING), int(Material.GRASS)
 _FACADE, _ROOF, _BARK = int(Material.FACADE), int(Material.ROOF), int(Material.BARK)
-_LEAF, _METAL, _SIGN = int(Material.LEAF), int(Material.METAL), int(Material.SIGN)
-_CAR_BODY, _GLASS, _RUBBER = int(Material.CAR_BODY), int(Material.GLASS), int(Material.RUBBER)
+_LEAF, _SIGN = int(Material.LEAF), int(Material.SIGN)
+_GLASS, _RUBBER = int(Material.GLASS), int(Material.RUBBER)
 _WALL, _FLOOR, _CEILING = int(Material.WALL), int(Material.FLOOR), int(Material.CEILING)
 _LAMP, _HEDGE, _STRIPES = int(Material.LAMP), int(Material.HEDGE), int(Material.STRIPES)
 _NOTICE, _DOOR, _CAR_LIGHT = int(Material.NOTICE), int(Material.DOOR), int(Material.CAR_LIGHT)
@@ -133,7 +133,7 @@ def surface(
     elif material == _STRIPES:
         rgb = blend((0.105, 0.105, 0.11), rgb, pulse(u, 0.5, w) * 0.85)
     elif material == _WALL:
-        rgb = _indoor_wall(row, u, v, wu)
+        rgb = _painted_wall(row, u, v, wu)
     elif material == _FLOOR:
         joint = min(pulse(u / 0.6, 0.02, w / 0.6) + pulse(v / 0.6, 0.02, w / 0.6), 1.0)
         tone = (1.0 - 0.3 * joint) * (0.92 + 0.16 * value_noise(u * 6.0, v * 6.0, 4))
@@ -364,7 +364,7 @@ def _sign(row: Row, u: float, v: float) -> Vector:
 
 
 @inlined
-def _indoor_wall(row: Row, u: float, v: float, wu: float) -> Vector:
+def _painted_wall(row: Row, u: float, v: float, wu: float) -> Vector:
     """Paint to the shoulder (style 0), with a line of contrast (1), in stripes (2), or plain."""
     style, rgb = int(row[STYLE]), (row[0], row[1], row[2])
     tone = 0.95 + 0.1 * value_noise(u * 0.8, v * 0.8, 4)

@@ -6,9 +6,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from jaxtyping import Float64
-
 from adafusion.sim.numeric import inlined, smooth, uniform, value_noise
 from adafusion.sim.town.shapes import Material
 
@@ -25,14 +22,6 @@ _CAR_LIGHT = int(Material.CAR_LIGHT)
 def rain_extinction(rain_mm_h: float) -> float:
     """Share of light that a metre of rain takes; drops are large, so a laser loses as much."""
     return float(_RAIN_PER_M * rain_mm_h**0.63)
-
-
-def shelters(
-    zones: Float64[np.ndarray, "z 7"], eye: tuple[float, float, float], reach_m: float
-) -> Float64[np.ndarray, "k 7"]:
-    """The indoor zones within `reach_m` of a point: few enough to ask every ray about."""
-    apart = np.maximum(np.maximum(zones[:, :3] - eye, eye - zones[:, 3:6]), 0.0)
-    return zones[np.linalg.norm(apart, axis=1) < reach_m]
 
 
 @inlined

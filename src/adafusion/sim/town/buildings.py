@@ -51,7 +51,7 @@ class BuildingType:
 
 # facade styles, and ground floors
 BRICK, PLASTER, CURTAIN, SLAB, STONE, METAL_SHEET, TIMBER = range(7)
-PLAIN, SHOPS, DOORS, GATES = range(4)
+AS_ABOVE, SHOPS, DOORS, GATES = range(4)
 
 BUILDING_TYPES = {
     "terrace": BuildingType(

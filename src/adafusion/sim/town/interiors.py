@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from adafusion.sim.town.buildings import BUILDING_TYPES, PLAIN
+from adafusion.sim.town.buildings import AS_ABOVE, BUILDING_TYPES
 from adafusion.sim.town.paint import add_paint, paint_wall
 from adafusion.sim.town.passages import COURT_HALF_M, COURT_M, PASSAGE_KINDS
 from adafusion.sim.town.plan import Passage, Plan
@@ -128,7 +128,7 @@ def _add_hull(site: _Site, type_name: str, half_width: float, half_length: float
     hull = soup.add_object(
         "building", tint, style=kind.style, pitch=kind.cell_m, floor=kind.floor_m,
         win_w=kind.window[0], win_h=kind.window[1], second=kind.second,
-        seed=int(site.rng.integers(1 << 20)), top=top + 0.6, ground=PLAIN,
+        seed=int(site.rng.integers(1 << 20)), top=top + 0.6, ground=AS_ABOVE,
     )  # fmt: skip
     cells = round(2 * half_length / kind.cell_m)
     uv = np.array([(0.0, -0.5), (cells, -0.5), (cells, top), (0.0, top)])

@@ -49,7 +49,7 @@ def add_paint(soup: SoupBuilder, rng: np.random.Generator) -> int:
 
 
 def _sections(rng: np.random.Generator, length: float) -> Iterator[tuple[float, float]]:
-    """Cut a length into pieces of 7 to 14 metres; the last is 5 metres or more."""
+    """Cut a length into pieces of 7 to 14 metres; the last is one of 5 to 19."""
     start = 0.0
     while start < length - 1e-6:
         end = start + float(rng.uniform(7.0, 14.0))

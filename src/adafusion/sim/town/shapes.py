@@ -33,7 +33,7 @@ class Material(IntEnum):
     CAR_BODY = 10
     GLASS = 11
     RUBBER = 12
-    WALL = 13  # indoors: uv in metres
+    WALL = 13  # painted: indoors, and blank ones along streets; uv in metres
     FLOOR = 14
     CEILING = 15
     LAMP = 16  # the part of a lamp that shines
@@ -47,6 +47,7 @@ class Material(IntEnum):
 # columns of the object table
 TINT, STYLE, PITCH, FLOOR, WIN_W, WIN_H, SECOND, SEED, TOP, GROUND = 0, 3, 4, 5, 6, 7, 8, 11, 12, 13
 COLUMNS = 16
+LIT = 1  # style of the lamps of a vehicle that drives: those of a parked one are off
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,12 +150,11 @@ class SoupBuilder:
         material: Material,
         object_id: int,
         *,
-        lid: Material | None = None,
         floor: bool = False,
     ) -> None:
         """Walls and lid over an outline; with `floor` closed below as well."""
         self.walls(outline, bottom, top, material, object_id)
-        self.cap(outline, top, material if lid is None else lid, object_id)
+        self.cap(outline, top, material, object_id)
         if floor:
             self.cap(outline, bottom, material, object_id)
 
@@ -170,12 +170,12 @@ class SoupBuilder:
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         real = np.linalg.norm(cross, axis=1) > 1e-7
         return Soup(
-            corners[real].astype(np.float32),
-            uv[real].astype(np.float32),
-            material[real],
-            object_id[real],
-            np.array(self._rows, np.float32).reshape(-1, COLUMNS),
-            tuple(self._kinds),
+            corners=corners[real].astype(np.float32),
+            uv=uv[real].astype(np.float32),
+            material=material[real],
+            object_id=object_id[real],
+            objects=np.array(self._rows, np.float32).reshape(-1, COLUMNS),
+            kinds=tuple(self._kinds),
         )
 
 

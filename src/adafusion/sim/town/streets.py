@@ -33,7 +33,7 @@ from adafusion.sim.town.plan import (
 from adafusion.sim.town.shapes import Material, disc
 
 MARGIN_M = 110.0  # open land around the town
-CLEAR_M = 9.5  # of a crossing: kerbs begin there
+CROSSING_M = 9.5  # of a crossing: kerbs begin there
 LEVEL_M = 25.0  # around passages: their courts and a little more
 _ASPHALT_RGB = (0.105, 0.105, 0.11)
 
@@ -155,7 +155,7 @@ def _pave_street(
     for side in (1.0, -1.0):
         inner, outer = side * ROAD_HALF_M, side * WALK_HALF_M
         start, end = plan.clear_run(index, [inner, outer], 0.4, paths=False)
-        between = trimmed(line, max(start, CLEAR_M), max(length - end, CLEAR_M))
+        between = trimmed(line, max(start, CROSSING_M), max(length - end, CROSSING_M))
         if between is None:
             continue
         rim = inner + side * 0.18

@@ -57,13 +57,13 @@ def build_world(spec: WorldSpec) -> World:
     for step in STEPS:
         step(plan)
     return World(
-        spec,
-        np.array(plan.nodes),
-        tuple(plan.streets),
-        plan.soup.build(),
-        tuple(plan.zones),
-        np.array(plan.lamps).reshape(-1, 8),
-        plan.hills,
+        spec=spec,
+        nodes=np.array(plan.nodes),
+        streets=tuple(plan.streets),
+        soup=plan.soup.build(),
+        zones=tuple(plan.zones),
+        lamps=np.array(plan.lamps).reshape(-1, 8),
+        hills=plan.hills,
     )
 
 
