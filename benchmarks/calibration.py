@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Is the synthetic world as hard as real ones are, for each sensor alone?
 
-    python benchmarks/calibration.py world-v1-small/test --image runs/image/model.safetensors \
-        --lidar runs/lidar/model.safetensors [--output docs/results/calibration.md]
+    python benchmarks/calibration.py world-v1-small/test [--image image-s] [--lidar lidar-s] \
+        [--output docs/results/calibration.md]
 
 Single branches only, trained and untrained: the world may not be chosen by what fusion gains on it.
 Recall@1 under cross-run, over pairs of runs by condition and over queries by zone. Chance is what
@@ -116,8 +116,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("dataset", type=Path)
-    parser.add_argument("--image", help="trained image branch", required=True)
-    parser.add_argument("--lidar", help="trained LiDAR branch", required=True)
+    parser.add_argument("--image", help="trained image branch", default="image-s")
+    parser.add_argument("--lidar", help="trained LiDAR branch", default="lidar-s")
     parser.add_argument("--cache", type=Path, help="folder of preprocessed frames")
     parser.add_argument("--output", type=Path, help="Markdown file to write as well")
     arguments = parser.parse_args()
@@ -132,8 +132,8 @@ def main() -> None:
     lines = [
         f"# The synthetic world, one sensor at a time, {datetime.now(UTC):%Y-%m-%d}",
         "",
-        f"`python benchmarks/calibration.py {arguments.dataset} --image ... --lidar ...`, commit "
-        f"{git_commit()}.",
+        f"`python benchmarks/calibration.py {arguments.dataset} --image {arguments.image} --lidar "
+        f"{arguments.lidar}`, commit {git_commit()}.",
         "",
         f"SYNTHETIC data: {dataset.info.source}, version {dataset.info.version}, geometry "
         f"{dataset.info.sensors['geometry']}, fingerprint {dataset.fingerprint}. Protocol "

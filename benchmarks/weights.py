@@ -31,7 +31,7 @@ from adafusion.models import AdaFusion, describe, load_model, prepared_batches
 from adafusion.preprocess.cache import PreparedFrames, prepare_cache
 from adafusion.provenance import git_commit
 from adafusion.search import pairwise_distances
-from adafusion.sim.run.conditions import PRESETS, Conditions, between
+from adafusion.sim.run.conditions import PRESETS, Conditions, between, with_seeds
 from adafusion.sim.simulate import describe_world, simulate
 from adafusion.sim.studio import Studio, make_job
 from adafusion.sim.town.plan import INDOORS
@@ -46,8 +46,7 @@ LIGHT = (
     "sun_elevation_rad", "sun_rgb", "zenith_rgb", "horizon_rgb", "cloud_rgb", "street_lamps",
     "headlights", "lit_windows", "window_rgb",
 )  # fmt: skip
-_FIXED = dict.fromkeys(("way_seed", "parked_seed", "traffic_seed", "window_seed", "cloud_seed"), 1)
-BASE = replace(PRESETS["day"], **_FIXED)
+BASE = with_seeds(PRESETS["day"], 1)
 FIXED_SHARES = np.linspace(0.0, 1.0, 21)  # of the image, for weights that never change
 
 
