@@ -144,6 +144,29 @@ def test_the_best_on_validation_is_kept(
     assert read_header(tmp_path / "model.safetensors")[1]["batches"] == 2
 
 
+def test_the_last_is_kept_where_that_is_asked(
+    config: TrainConfig, data: PreparedSet, tmp_path: Path
+) -> None:
+    scores = iter([0.9, 0.2, 0.1])
+    config = replace(config, batches=8, evaluate_every=4, keep="last")
+    *_, last = train(
+        config, data, np.arange(len(data)), lambda model: {"recall@1": next(scores)}, tmp_path
+    )
+    assert last.best == 0.9
+    _, card = read_header(tmp_path / "model.safetensors")
+    assert card["batches"] == 8
+    assert card["validation"] == {"recall@1": 0.1}
+
+
+def test_blanked_sensors_change_what_is_learnt_and_resume_alike(
+    config: TrainConfig, data: PreparedSet, tmp_path: Path
+) -> None:
+    config = replace(config, batches=3, model=replace(config.model, system="adafusion"))
+    blank = replace(config, augment=Augment(blank=0.5))
+    assert run(blank, data, tmp_path / "a") == run(blank, data, tmp_path / "b")
+    assert run(blank, data, tmp_path / "c") != run(config, data, tmp_path / "d")
+
+
 def test_a_loss_that_is_no_number_stops_the_job(
     config: TrainConfig, data: PreparedSet, tmp_path: Path
 ) -> None:

@@ -58,7 +58,7 @@ log = logging.getLogger(__name__)
 Validate = Callable[[AdaFusion], Mapping[str, float]]
 Points = Callable[[int], Float[np.ndarray, "n 3"]]
 
-MODEL_FILE = "model.safetensors"  # the best on validation, ready to use
+MODEL_FILE = "model.safetensors"  # the best on validation or the last, ready to use
 SELECTED_BY = "recall@1"
 BALANCE_BATCHES = 4
 
@@ -140,6 +140,7 @@ def train(
         model.train()
         if is_best := values[SELECTED_BY] > best:
             best = values[SELECTED_BY]
+        if is_best or config.keep == "last":
             save_model(
                 folded(model),
                 out / MODEL_FILE,

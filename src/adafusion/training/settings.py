@@ -117,6 +117,7 @@ class TrainConfig:
     batches: int | None = None  # takes the place of `epochs`
     evaluate_every: int = 2000  # batches
     checkpoint_every: int = 500  # batches: what a killed training loses at most
+    keep: Literal["best", "last"] = "best"  # on validation: what becomes model.safetensors
     initialisation: Literal["framework", "he"] = "he"
     norms: bool = True  # batch norm after every convolution, folded away in what is saved
     init: tuple[str, ...] = ()  # model files whose branches this training starts from
