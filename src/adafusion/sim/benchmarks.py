@@ -4,8 +4,8 @@
 
 A benchmark has two parts, each a world of a seed of its own: `train` (with a validation region,
 apart in space) and `test`. A condition is a subset of the runs, a zone a subset of the frames;
-neither is a benchmark of its own. Rendered when first asked for, into a folder that is named after
-everything that decides its bytes.
+neither is a benchmark of its own. Rendered when first asked for, into a folder that is named after the
+hashes of its geometry and its runs.
 """
 
 from __future__ import annotations
