@@ -40,6 +40,7 @@ from adafusion.types import Descriptions, Estimate, UserError
 PLACES = 120  # of each run
 RADIUS_M = 20.0
 SEED = 0  # of the bootstrap
+READINGS = ("trust in the image", "image's share of the distance", "the same, equal weights")
 NEAR_DOOR = 5  # frames before the entry into a corridor, and as many after its exit
 LEAST_INSIDE = 5  # frames of a corridor that count as a passage through it
 LIGHT = (
@@ -86,7 +87,7 @@ def see(model: AdaFusion, dataset: Dataset, cache: Path) -> dict[str, Seen]:
     """Describe every run, and the base run again with either sensor blanked."""
     prepared = prepare_cache(dataset, model.config.preprocess, cache, progress=bar)
     seen = {}
-    for run in dataset.runs:
+    for run in sweep_runs():
         rows = np.array([i for i, frame in enumerate(dataset.frames) if frame.run == run])
         seen[run] = _describe(model, dataset, rows, prepared)
     rows = np.array([i for i, frame in enumerate(dataset.frames) if frame.run == "base"])
@@ -123,13 +124,15 @@ def _describe(
 # ------------------------------------------------------------------------------------ measures
 
 
-def distance_share(query: Seen, database: Seen) -> Float64[np.ndarray, " n"]:
+def distance_share(
+    query: Seen, database: Seen, *, weighted: bool = True
+) -> Float64[np.ndarray, " n"]:
     """The image's mean share of a query's distance to all places of the map.
 
     |alpha_I f_I - alpha'_I f'_I|_1 over the same sum with the LiDAR's part: what the weights and
-    the scale of the features make of it together.
+    the scale of the features make of it together; or the features alone, with equal weights.
     """
-    image, lidar = _parts(query, database)
+    image, lidar = _parts(query, database, weighted)
     return np.mean(image / np.maximum(image + lidar, 1e-12), axis=1)
 
 
@@ -204,19 +207,23 @@ def corridor_steps(base: Seen, value: Float64[np.ndarray, " n"]) -> Float64[np.n
 # -------------------------------------------------------------------------------------- report
 
 
-def effects(seen: Mapping[str, Seen]) -> dict[str, tuple[Estimate, Estimate]]:
-    """Change of trust and of the distance share against the base run, by level."""
+def effects(seen: Mapping[str, Seen]) -> dict[str, tuple[Estimate, ...]]:
+    """Change of each of `READINGS` against the base run, by level."""
     base, database = seen["base"], seen["map"]
+
+    def read(run: Seen) -> list[Float64[np.ndarray, " n"]]:
+        shares = [distance_share(run, database, weighted=weighted) for weighted in (True, False)]
+        return [run.trust, *shares]
+
     rows = {}
-    share = distance_share(base, database)
+    before = read(base)
     for name, other in seen.items():
-        if name in ("map", "base"):
-            continue
-        rows[name] = (
-            mean_by_places(other.trust - base.trust, base.xy),
-            mean_by_places(distance_share(other, database) - share, base.xy),
-        )
-    steps = [corridor_steps(base, value) for value in (base.trust, share)]
+        if name not in ("map", "base"):
+            rows[name] = tuple(
+                mean_by_places(now - was, base.xy)
+                for now, was in zip(read(other), before, strict=True)
+            )
+    steps = [corridor_steps(base, value) for value in before]
     rng = np.random.default_rng(SEED)
     picks = rng.integers(len(steps[0]), size=(2000, len(steps[0])))
     rows["corridor"] = tuple(
@@ -233,7 +240,7 @@ def in_units(estimate: Estimate) -> str:
     return f"{estimate.value:+.3f} [{low:+.3f}, {high:+.3f}]"
 
 
-def draw(results: Mapping[str, Mapping[str, tuple[Estimate, Estimate]]], path: Path) -> None:
+def draw(results: Mapping[str, Mapping[str, tuple[Estimate, ...]]], path: Path) -> None:
     """Plot the change of trust by level of each factor, one line a model and world."""
     import matplotlib
 
@@ -326,7 +333,7 @@ def main() -> None:
 
 
 def page(
-    results: Mapping[str, Mapping[str, tuple[Estimate, Estimate]]],
+    results: Mapping[str, Mapping[str, tuple[Estimate, ...]]],
     recall: Mapping[str, Mapping[str, Mapping[str, float]]],
     level: Mapping[str, Float[np.ndarray, "n 2"] | None],
     worlds: Mapping[int, Dataset],
@@ -347,13 +354,14 @@ def page(
         "",
         "Models: " + "; ".join(f"{model.name} {model.fingerprint}" for model in models) + ".",
         "",
-        "Change of alpha_I / (alpha_I + alpha_P) against the same places on the base run (a day), "
-        "and change of the image's share of the distance to all places of the map; means with "
-        "95 % intervals from a bootstrap over 50 m blocks (corridor: over corridors).",
+        "Changes against the same places on the base run (a day): of trust, alpha_I / (alpha_I + "
+        "alpha_P); of the image's share of the distance to all places of the map; and of that "
+        "share under equal weights, which is what the scale of the features does alone. Means "
+        "with 95 % intervals from a bootstrap over 50 m blocks (corridor: over corridors).",
         "",
     ]
     names = list(results)
-    for what, word in ((0, "trust in the image"), (1, "image's share of the distance")):
+    for what, word in enumerate(READINGS):
         lines += [f"| {word} | " + " | ".join(names) + " |", "|---|" + "---|" * len(names)]
         for row in results[names[0]]:
             cells = " | ".join(in_units(results[name][row][what]) for name in names)
