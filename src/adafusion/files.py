@@ -9,9 +9,12 @@ import json
 import os
 import re
 import secrets
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from adafusion.types import UserError
 
 _TEMPORARY = re.compile(r"\..*\.tmp-[0-9a-f]{16}(\.[^.]*)?")
 
@@ -46,6 +49,33 @@ def sweep_temporaries(folder: str | Path) -> None:
     for path in Path(folder).glob(".*"):
         if path.is_file() and _TEMPORARY.fullmatch(path.name):
             path.unlink()
+
+
+def make_folder(folder: str | Path) -> None:
+    """Make a folder for results before the work; UserError where it cannot be written to."""
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise UserError(
+            f"{folder} cannot be written ({error.strerror}): choose another folder"
+        ) from error
+
+
+def claim_folder(folder: str | Path, *marks: str) -> None:
+    """Make the folder of an unfinished job, or take it up again where one of `marks` lies in it.
+
+    UserError where it holds files and no mark: they are somebody else's, and would be lost.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    sweep_temporaries(folder)
+    if any(folder.iterdir()) and not any((folder / mark).exists() for mark in marks):
+        raise UserError(
+            f"{folder} holds files that no unfinished job left: move them away, or choose another "
+            "folder"
+        )
 
 
 def write_text(path: str | Path, text: str) -> None:

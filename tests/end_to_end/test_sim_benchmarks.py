@@ -82,6 +82,18 @@ def test_a_cached_world_of_another_hash_is_refused_by_path(tiny: Dataset, cache:
         file.write_text(whole, encoding="utf-8")
 
 
+def test_files_that_are_not_as_rendered_are_refused(tiny: Dataset, cache: Path) -> None:
+    picture = tiny.root / str(tiny.frames[0].image)
+    whole = picture.read_bytes()
+    picture.write_bytes(whole + b"0")
+    try:
+        with pytest.raises(UserError, match=r"no longer as it was rendered.*remove it"):
+            open_benchmark(TINY, cache)
+    finally:
+        picture.write_bytes(whole)
+    assert open_benchmark(TINY, cache).fingerprint == tiny.fingerprint
+
+
 def test_its_folder_is_named_after_what_decides_its_bytes(
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

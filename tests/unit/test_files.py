@@ -11,11 +11,14 @@ import pytest
 
 from adafusion.files import (
     atomic_path,
+    claim_folder,
     fingerprint,
+    make_folder,
     sweep_temporaries,
     write_json,
     write_text,
 )
+from adafusion.types import UserError
 
 
 def test_a_file_appears_whole_and_nothing_else_does(tmp_path: Path) -> None:
@@ -99,3 +102,26 @@ def test_what_a_killed_writer_left_is_swept_and_nothing_else(
     sweep_temporaries(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {".weights.pt", "below"}
     assert len(list((tmp_path / "below").iterdir())) == 1
+
+
+def test_a_folder_of_somebody_elses_files_is_not_claimed(tmp_path: Path) -> None:
+    folder = tmp_path / "job.partial"
+    claim_folder(folder, "mark")
+    claim_folder(folder, "mark")  # empty: nothing to lose
+    (folder / ".note.tmp-0123456789abcdef.txt").touch()  # of a writer that was killed
+    claim_folder(folder, "mark")
+    (folder / "note.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(UserError, match=r"job\.partial holds files"):
+        claim_folder(folder, "mark")
+    assert (folder / "note.txt").exists()
+    (folder / "mark").touch()
+    claim_folder(folder, "other", "mark")
+
+
+def test_a_folder_for_results_is_made_or_refused_by_name(tmp_path: Path) -> None:
+    make_folder(tmp_path / "a" / "b")
+    make_folder(tmp_path / "a" / "b")
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match=r"file.c cannot be written.*choose another"):
+        make_folder(tmp_path / "file" / "c")
+    assert list((tmp_path / "a" / "b").iterdir()) == []

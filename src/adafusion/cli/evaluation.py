@@ -75,8 +75,12 @@ def evaluate(
     Example: adafusion evaluate data/nclt results/nclt --model mine.safetensors --protocol union
     """
     from adafusion.evaluation import dataset_splits, judge
+    from adafusion.files import make_folder
     from adafusion.models import load_model
+    from adafusion.types import UserError
 
+    if (out / RESULT_FILE).exists():
+        raise UserError(f"{out} holds a result: choose another folder, or remove it first")
     opened = open_data(dataset, cache)
     chosen = None if runs is None else split_names(runs)
     splits = dataset_splits(opened, protocol, region=region, runs=chosen, radius_m=radius_m)
@@ -97,6 +101,7 @@ def evaluate(
                 f"warning: {name} was trained on this dataset: only what lies outside its training "
                 "region is new to it, and the look of the place is not"
             )
+    make_folder(out)  # what cannot be written is said before the work
     judged = judge(models, opened, splits, cache_folder(cache), p=config.p, progress=bar)
     print(table(judged, seed))
     print("\n".join(map(str, write_results(judged, opened, config, out, report=report))))

@@ -35,7 +35,10 @@ app = typer.Typer(
 @app.command("list")
 def list_benchmarks(
     check: Annotated[
-        bool, typer.Option("--check", help="Build each world and compare its hash; takes minutes.")
+        bool,
+        typer.Option(
+            "--check", help="Build each world and compare it, and what is rendered; takes a minute."
+        ),
     ] = False,
     cache: Cache = None,
 ) -> None:
@@ -44,7 +47,12 @@ def list_benchmarks(
     \b
     Example: adafusion world list --check
     """
-    from adafusion.sim.benchmarks import BENCHMARKS, benchmark_folder, found_hashes
+    from adafusion.sim.benchmarks import (
+        BENCHMARKS,
+        benchmark_folder,
+        found_hashes,
+        open_benchmark,
+    )
     from adafusion.types import UserError
 
     wrong = []
@@ -58,6 +66,8 @@ def list_benchmarks(
                 matches = found_hashes(f"{benchmark}/{name}") == (part.geometry, part.settings)
                 line += ", this installation builds it" if matches else ", MISMATCH"
                 wrong += [] if matches else [f"{benchmark}/{name}"]
+                if matches and folder.exists():
+                    open_benchmark(f"{benchmark}/{name}", cache_folder(cache))  # or says why not
             print(line)
     if wrong:
         raise UserError(
@@ -99,7 +109,10 @@ def sheet(
         str, typer.Option(help="Columns: presets, by comma.")
     ] = "day,overcast,dusk,night,fog,rain,snow,glare,winter,autumn",
     places: Annotated[
-        int, typer.Option(help="Rows: about so many places, as many of each kind of zone.", min=1)
+        int,
+        typer.Option(
+            help="Rows: about so many places, and one of each kind of zone at least.", min=1
+        ),
     ] = 14,
     from_above: Annotated[
         bool, typer.Option("--from-above", help="Draw each cloud from above as well.")
@@ -112,12 +125,14 @@ def sheet(
     \b
     Example: adafusion world sheet runs/sheet.html --seed 3 --conditions day,night,snow
     """
+    from adafusion.files import make_folder
     from adafusion.sim.sheet import SUFFIXES, cell_of, write_sheet
     from adafusion.sim.studio import Studio, make_job
     from adafusion.types import UserError
 
     if out.suffix not in SUFFIXES:  # said before the work
         raise UserError(f"{out}: a contact sheet ends in {' or '.join(SUFFIXES)}")
+    make_folder(out.parent)
     runs = {name: _with_the_same_streets(name) for name in split_names(conditions)}
     studio = Studio(make_job(seed, runs, profile))
     shown = _spread_over_zones(studio, next(iter(runs)), places)

@@ -29,7 +29,7 @@ import pyarrow.parquet as pq
 import yaml
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from adafusion.files import atomic_path, fingerprint, write_text
+from adafusion.files import atomic_path, claim_folder, fingerprint, write_text
 from adafusion.geometry import is_rigid
 from adafusion.types import Frame, Observation, UserError
 
@@ -418,7 +418,7 @@ class DatasetWriter:
             raise UserError(f"{self.out} exists: choose another folder, or remove it first")
         draft = self.folder / "dataset.yaml"
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            claim_folder(self.folder, draft.name)
             if not draft.exists():
                 write_text(draft, _to_yaml(self.info))
         except OSError as error:

@@ -4,8 +4,8 @@
 
 A benchmark has two parts, each a world of a seed of its own: `train` (with a validation region,
 apart in space) and `test`. A condition is a subset of the runs, a zone a subset of the frames;
-neither is a benchmark of its own. Rendered when first asked for, into a folder that is named after the
-hashes of its geometry and its runs.
+neither is a benchmark of its own. Rendered when first asked for, into a folder that is named after
+the hashes of its geometry and its runs.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from adafusion.datasets.native import Dataset, open_dataset
-from adafusion.files import fingerprint
+from adafusion.files import fingerprint, write_text
 from adafusion.sim.regions import REGIONS
 from adafusion.sim.run.people import STRIDES, person
 from adafusion.sim.run.traffic import Movers
@@ -137,7 +137,7 @@ def open_benchmark(
     """Open a part of a benchmark, "world-v1-small/test", rendering it into the cache if need be.
 
     UserError for an unknown name, and where what this code builds or what lies in the cache is not
-    what the name stands for.
+    what the name stands for, or is not as it was rendered (tables, and the sizes of all files).
     """
     part, job = _look_up(name)
     out = benchmark_folder(name, cache_dir)
@@ -158,6 +158,14 @@ def open_benchmark(
         raise UserError(
             f"{out} holds geometry {geometry} and settings {settings}, and {name} stands for "
             f"{part.geometry} and {part.settings}: remove the folder, to render it again"
+        )
+    seal = out.with_name(f"{out.name}.fingerprint")
+    if not seal.exists():
+        write_text(seal, dataset.fingerprint + "\n")
+    if seal.read_text(encoding="utf-8").strip() != dataset.fingerprint:
+        raise UserError(
+            f"{out} is no longer as it was rendered (files of other sizes, or other tables): "
+            f"remove it and {seal.name}, to render it again"
         )
     return dataset
 

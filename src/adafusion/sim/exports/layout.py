@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from adafusion.files import atomic_path, sweep_temporaries, write_text
+from adafusion.files import atomic_path, claim_folder, sweep_temporaries, write_text
 from adafusion.types import Progress, UserError, silent
 
 MANIFEST = "manifest.json"
@@ -60,7 +60,7 @@ def _draft(out: Path, manifest: str) -> Iterator[Path]:
     folder = out.parent / f"{out.name}.partial"
     begun, done = folder / _BEGUN, folder / MANIFEST
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        claim_folder(folder, _BEGUN, MANIFEST)
         # done is there if the end came between the last two steps
         found = next((path for path in (done, begun) if path.exists()), None)
         if found is None:
