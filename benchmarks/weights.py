@@ -247,7 +247,9 @@ def draw(results: Mapping[str, Mapping[str, tuple[Estimate, ...]]], path: Path) 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, 4, figsize=(13, 3.6), sharey=True, width_ratios=(3, 2, 2, 3))
+    figure, axes = plt.subplots(1, 4, figsize=(13.5, 3.8), width_ratios=(3, 2, 2, 3.4))
+    for axis in axes[1:3]:  # the controls have a scale of their own
+        axis.sharey(axes[0])
     for name, rows in results.items():
         for axis, factor in zip(axes, ("dark", "fog", "laser fog"), strict=False):
             levels = [row for row in rows if row.rpartition("-")[0] == factor]
@@ -271,6 +273,8 @@ def draw(results: Mapping[str, Mapping[str, tuple[Estimate, ...]]], path: Path) 
     axes[3].set_xticks(range(len(controls)), controls, rotation=30, ha="right")
     axes[3].axhline(0.0, color="0.7", lw=0.8, zorder=0)
     axes[0].set_ylabel("change of $α_I / (α_I + α_P)$")
+    for axis in axes[1:3]:
+        axis.tick_params(labelleft=False)
     axes[0].legend(fontsize=7, frameon=False)
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
