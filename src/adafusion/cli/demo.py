@@ -25,7 +25,9 @@ def demo(
     out: Annotated[Path, typer.Argument(help="Folder for everything the demo makes.")] = Path(
         "runs/demo"
     ),
-    seed: Annotated[int, typer.Option(help="Which world; models were trained on 101 to 104.")] = 7,
+    seed: Annotated[
+        int, typer.Option(help="Which world; models were trained on 101 to 104 and 2101 to 2103.")
+    ] = 7,
     places: Annotated[int, typer.Option(help="Frames a run.", min=1)] = 200,
     profile: Annotated[str, typer.Option(help="Size of the world: tiny, small or full.")] = "small",
     workers: Annotated[int, typer.Option(help="Processes that render.", min=1)] = 2,
