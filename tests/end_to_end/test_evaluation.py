@@ -72,7 +72,7 @@ def judged_and_config(
 def test_a_report_counts_each_query_once(
     tiny_world: Dataset, models: tuple[str, str], cache: Path
 ) -> None:
-    judged, config = judged_and_config(models, tiny_world, cache, "cross-run", 1.0, 1)
+    judged, config = judged_and_config(models, tiny_world, cache, "cross-run", 3.0, 1)
     data = report_data(judged, tiny_world, config, "adafusion evaluate")
     e = judged[0].evaluation
     assert 0 < e.num_unanswerable < e.num_queries
