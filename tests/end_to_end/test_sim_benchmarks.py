@@ -206,6 +206,7 @@ def test_factors_are_set_for_all_runs_or_for_one(type_in, tmp_path: Path) -> Non
         "--set", "foliage=0.25", "--set", "night.fog_per_m=0.5", "--workers", "1",
     )  # fmt: skip
     assert said.code == 0, said.err
+    assert "warning: no frame lies in the test region: give more --places" in said.err
     conditions = open_dataset(tmp_path / "hazy").info.sensors["conditions"]
     assert conditions["day"]["foliage"] == conditions["night"]["foliage"] == 0.25
     assert conditions["night"]["fog_per_m"] == 0.5 != conditions["day"]["fog_per_m"]

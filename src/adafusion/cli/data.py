@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from adafusion.cli.common import WORKERS, Places, Profile, Runs, Seed, Workers, bar, split_names
+from adafusion.cli.common import (
+    WORKERS,
+    Places,
+    Profile,
+    Runs,
+    Seed,
+    Workers,
+    bar,
+    say,
+    split_names,
+)
 from adafusion.types import UserError
 
 if TYPE_CHECKING:
@@ -50,6 +60,8 @@ def simulate(
     Example: adafusion simulate data/world-7 --seed 7 --runs day,dusk,night-reverse,fog
     Example: adafusion simulate data/haze --runs day,day-2 --set day-2.fog_per_m=0.02
     """
+    from adafusion.datasets.splits import region_of
+    from adafusion.sim.regions import GUARD
     from adafusion.sim.simulate import simulate as run
 
     dataset = run(
@@ -62,6 +74,12 @@ def simulate(
         workers=workers,
         progress=bar,
     )
+    filled = set(region_of(dataset.positions_m[:, :2], dataset.info.regions))
+    for region in sorted(set(dataset.info.regions) - {GUARD} - filled):
+        say(
+            f"warning: no frame lies in the {region} region: give more --places, or --regions "
+            "all-test where nothing is to be trained"
+        )
     print(f"{out}: {len(dataset.frames)} frames in {len(dataset.runs)} runs (synthetic)")
 
 

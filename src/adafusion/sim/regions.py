@@ -14,6 +14,7 @@ from adafusion.sim.town.world import World
 Boxes = dict[str, list[list[float]]]
 
 GUARD_M = 26.0  # no frame is used in a strip so wide along a border: matches reach 20 or 25 m
+GUARD = "guard"  # the region that is nobody's
 TEST_SHARE, VALIDATION_SHARE = 0.40, 0.30  # of the way; of what is left of it
 
 
