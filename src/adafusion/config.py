@@ -104,7 +104,9 @@ def from_plain(cls: type[T], values: Mapping[str, Any]) -> T:
         return _CONVERTER.structure(values, cls)
     except Exception as error:
         messages = cattrs.transform_error(error, path=cls.__name__, format_exception=_explain)
-        raise ValueError("; ".join(messages)) from error
+        # where the class as a whole refused a value, its own words name the key
+        said = (message.removesuffix(f" @ {cls.__name__}") for message in messages)
+        raise ValueError("; ".join(said)) from error
 
 
 def to_plain(config: Any) -> dict[str, Any]:

@@ -197,6 +197,7 @@ def test_a_factor_that_is_wrong_is_named(type_in, change: str, words: str, tmp_p
     said = type_in("simulate", tmp_path / "none", "--profile", "tiny", "--set", change)
     assert said.code == 2
     assert words in said.err
+    assert "@" not in said.err
     assert not list(tmp_path.iterdir())
 
 
