@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -92,6 +93,19 @@ def test_files_that_are_not_as_rendered_are_refused(tiny: Dataset, cache: Path) 
     finally:
         picture.write_bytes(whole)
     assert open_benchmark(TINY, cache).fingerprint == tiny.fingerprint
+
+
+def test_a_world_rendered_again_is_not_held_to_the_rendering_before(
+    tiny: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another encoder may give files of other sizes."""
+    out = benchmark_folder(TINY, tmp_path)
+    out.parent.mkdir()
+    out.with_name(f"{out.name}.fingerprint").write_text("of a removed folder\n", encoding="utf-8")
+    monkeypatch.setattr(
+        benchmarks, "render", lambda studio, out, info, **_: shutil.copytree(tiny.root, out)
+    )
+    assert open_benchmark(TINY, tmp_path).fingerprint == tiny.fingerprint
 
 
 def test_its_folder_is_named_after_what_decides_its_bytes(

@@ -141,6 +141,7 @@ def open_benchmark(
     """
     part, job = _look_up(name)
     out = benchmark_folder(name, cache_dir)
+    seal = out.with_name(f"{out.name}.fingerprint")
     if not out.exists():
         studio = Studio(job)
         found = _hashes(studio, part)
@@ -151,6 +152,7 @@ def open_benchmark(
                 "not compare; install a release whose `adafusion world list` shows no mismatch"
             )
         info = describe_world(studio, part.regions, name, part.settings)
+        seal.unlink(missing_ok=True)  # of a rendering that was removed
         render(studio, out, info, workers=workers, progress=progress)
     dataset = open_dataset(out)
     geometry, settings = (dataset.info.sensors.get(key) for key in ("geometry", "settings"))
@@ -159,7 +161,6 @@ def open_benchmark(
             f"{out} holds geometry {geometry} and settings {settings}, and {name} stands for "
             f"{part.geometry} and {part.settings}: remove the folder, to render it again"
         )
-    seal = out.with_name(f"{out.name}.fingerprint")
     if not seal.exists():
         write_text(seal, dataset.fingerprint + "\n")
     if seal.read_text(encoding="utf-8").strip() != dataset.fingerprint:
