@@ -25,6 +25,7 @@ from jaxtyping import Bool, Shaped
 from adafusion.cli.common import bar, cache_folder, open_data
 from adafusion.datasets import Dataset
 from adafusion.evaluation import Judged, dataset_splits, evaluate_splits, judge
+from adafusion.files import write_text
 from adafusion.models import load_model
 from adafusion.provenance import git_commit
 from adafusion.sim.town.plan import INDOORS
@@ -168,8 +169,7 @@ def main() -> None:
     text = "\n".join(lines) + "\n"
     print(text)
     if arguments.output:
-        arguments.output.parent.mkdir(parents=True, exist_ok=True)
-        arguments.output.write_text(text, encoding="utf-8")
+        write_text(arguments.output, text)
 
 
 if __name__ == "__main__":

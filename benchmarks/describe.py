@@ -26,6 +26,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from adafusion.files import write_text
 from adafusion.models import AdaFusion, ModelConfig, describe
 from adafusion.models.plain import plain_forward
 from adafusion.preprocess import ImageSettings, Preprocess, VoxelGrid
@@ -144,8 +145,7 @@ def main() -> None:
     text = "\n".join(lines) + "\n"
     print(text)
     if arguments.output:
-        arguments.output.parent.mkdir(parents=True, exist_ok=True)
-        arguments.output.write_text(text, encoding="utf-8")
+        write_text(arguments.output, text)
 
 
 if __name__ == "__main__":

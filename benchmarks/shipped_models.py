@@ -17,6 +17,7 @@ from pathlib import Path
 
 from adafusion.cli.common import bar, cache_folder, open_data
 from adafusion.evaluation import dataset_splits, evaluate_splits, judge
+from adafusion.files import write_text
 from adafusion.models import SHIPPED, AdaFusion, load_model
 from adafusion.provenance import git_commit
 from adafusion.training import untrained_twin
@@ -68,8 +69,7 @@ def main() -> None:
     text = "\n".join(lines) + "\n"
     print(text)
     if arguments.output:
-        arguments.output.parent.mkdir(parents=True, exist_ok=True)
-        arguments.output.write_text(text, encoding="utf-8")
+        write_text(arguments.output, text)
 
 
 def _both(model: AdaFusion) -> list[AdaFusion]:

@@ -27,6 +27,7 @@ from jaxtyping import Bool, Float, Float64
 from adafusion.cli.common import bar, cache_folder
 from adafusion.datasets import Dataset, open_dataset
 from adafusion.evaluation.metrics import draw_blocks, percentile_interval, place_blocks
+from adafusion.files import write_text
 from adafusion.models import AdaFusion, describe, load_model, prepared_batches
 from adafusion.preprocess.cache import PreparedFrames, prepare_cache
 from adafusion.provenance import git_commit
@@ -331,8 +332,7 @@ def main() -> None:
     text = page(results, recall, level, worlds, models)
     print(text)
     if arguments.output:
-        arguments.output.parent.mkdir(parents=True, exist_ok=True)
-        arguments.output.write_text(text, encoding="utf-8")
+        write_text(arguments.output, text)
         draw(results, arguments.output.with_suffix(".png"))
 
 

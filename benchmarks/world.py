@@ -28,6 +28,7 @@ import numba
 import numpy as np
 
 from adafusion.datasets import write_observation
+from adafusion.files import write_text
 from adafusion.sim.simulate import simulate
 from adafusion.sim.studio import PROFILES, Studio, conditions_of, make_job
 
@@ -134,8 +135,7 @@ def main() -> None:
     text = "\n".join(lines) + "\n"
     print(text)
     if options.output is not None:
-        options.output.parent.mkdir(parents=True, exist_ok=True)
-        options.output.write_text(text, encoding="utf-8")
+        write_text(options.output, text)
 
 
 if __name__ == "__main__":

@@ -68,13 +68,7 @@ def load_config(cls: type[T], path: str | Path | None = None, overrides: Sequenc
     a value that the dataclass itself refuses.
     """
     values = {} if path is None else _read_yaml(Path(path))
-    for override in overrides:
-        _apply(values, override)
-    try:
-        return from_plain(cls, values)
-    except ValueError as error:
-        where = " ".join([*([str(path)] if path else []), *overrides]) or "defaults"
-        raise UserError(f"{where}: {error}") from error
+    return _overridden(cls, values, overrides, path)
 
 
 def change_config(config: T, overrides: Sequence[str]) -> T:
@@ -82,13 +76,7 @@ def change_config(config: T, overrides: Sequence[str]) -> T:
 
     Raises UserError as `load_config` does.
     """
-    values = to_plain(config)
-    for override in overrides:
-        _apply(values, override)
-    try:
-        return from_plain(type(config), values)
-    except ValueError as error:
-        raise UserError(f"{' '.join(overrides)}: {error}") from error
+    return _overridden(type(config), to_plain(config), overrides)
 
 
 def from_plain(cls: type[T], values: Mapping[str, Any]) -> T:
@@ -136,6 +124,21 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise UserError(f"{path}: must hold `key: value` lines, not {type(values).__name__}")
     return values
+
+
+def _overridden(
+    cls: type[T],
+    values: dict[str, Any],
+    overrides: Sequence[str],
+    path: str | Path | None = None,
+) -> T:
+    for override in overrides:
+        _apply(values, override)
+    try:
+        return from_plain(cls, values)
+    except ValueError as error:
+        where = " ".join([*([str(path)] if path else []), *overrides]) or "defaults"
+        raise UserError(f"{where}: {error}") from error
 
 
 def _apply(values: dict[str, Any], override: str) -> None:

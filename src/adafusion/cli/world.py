@@ -126,12 +126,10 @@ def sheet(
     Example: adafusion world sheet runs/sheet.html --seed 3 --conditions day,night,snow
     """
     from adafusion.files import make_folder
-    from adafusion.sim.sheet import SUFFIXES, cell_of, write_sheet
+    from adafusion.sim.sheet import cell_of, check_suffix, write_sheet
     from adafusion.sim.studio import Studio, make_job
-    from adafusion.types import UserError
 
-    if out.suffix not in SUFFIXES:  # said before the work
-        raise UserError(f"{out}: a contact sheet ends in {' or '.join(SUFFIXES)}")
+    check_suffix(out)  # said before the work, as is what cannot be written
     make_folder(out.parent)
     runs = {name: _with_the_same_streets(name) for name in split_names(conditions)}
     studio = Studio(make_job(seed, runs, profile))

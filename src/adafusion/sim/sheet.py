@@ -98,6 +98,12 @@ def draw_sheet(
     return sheet
 
 
+def check_suffix(path: Path) -> None:
+    """UserError where a sheet cannot be written by such a name."""
+    if path.suffix not in SUFFIXES:
+        raise UserError(f"{path}: a contact sheet ends in {' or '.join(SUFFIXES)}")
+
+
 def write_sheet(
     path: str | Path,
     cells: Sequence[Sequence[Cell]],
@@ -111,8 +117,7 @@ def write_sheet(
     The file is whole or not there. UserError for another suffix.
     """
     path = Path(path)
-    if path.suffix not in SUFFIXES:
-        raise UserError(f"{path}: a contact sheet ends in {' or '.join(SUFFIXES)}")
+    check_suffix(path)
     if path.suffix == ".html":
         write_text(path, _page(cells, rows, columns, title))
         return
