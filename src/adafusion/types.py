@@ -59,6 +59,8 @@ class Frame:
     image: str | None = None  # file names relative to the dataset's folder
     cloud: str | None = None
     zone: str | None = None  # what kind of place this is, where the source says so
+    image_time_us: int | None = None  # when the camera saw it, where that is not `timestamp_us`
+    cloud_time_us: int | None = None  # the same of the LiDAR
 
     @property
     def key(self) -> str:

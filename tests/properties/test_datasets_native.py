@@ -9,7 +9,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adafusion.datasets.native import DatasetInfo, DatasetWriter, open_dataset
+from adafusion.datasets.native import DatasetInfo, open_dataset
+from adafusion.datasets.writer import DatasetWriter
 from adafusion.geometry import pose, rotation_from_rpy
 from adafusion.types import Frame, Observation
 

@@ -15,16 +15,9 @@ import pytest
 import yaml
 
 from adafusion.datasets import native
-from adafusion.datasets.native import (
-    Dataset,
-    DatasetInfo,
-    DatasetWriter,
-    open_dataset,
-    read_cloud,
-    read_image,
-    write_image,
-    write_observation,
-)
+from adafusion.datasets.native import Dataset, DatasetInfo, open_dataset
+from adafusion.datasets.sensor_files import read_cloud, read_image, write_image, write_observation
+from adafusion.datasets.writer import DatasetWriter
 from adafusion.geometry import pose_from_xyz_yaw
 from adafusion.types import Frame, Observation, UserError
 

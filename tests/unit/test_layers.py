@@ -19,7 +19,7 @@ LAYERS: list[set[str]] = [
     {"preprocess", "search"},
     {"datasets"},
     {"geometry", "config", "provenance"},
-    {"files"},
+    {"files", "workers"},
     {"types", "threads"},
 ]
 LEVEL = {part: level for level, parts in enumerate(LAYERS) for part in parts}

@@ -7,15 +7,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from adafusion.datasets.kitti_odometry import prepare_kitti_odometry
-from adafusion.datasets.native import (
-    Dataset,
-    DatasetInfo,
-    DatasetWriter,
-    open_dataset,
-    read_cloud,
-    read_image,
-    write_observation,
-)
+from adafusion.datasets.native import Dataset, DatasetInfo, open_dataset
+from adafusion.datasets.sensor_files import read_cloud, read_image, write_observation
+from adafusion.datasets.writer import DatasetWriter
 
 READERS: dict[str, Callable[..., Dataset]] = {"kitti-odometry": prepare_kitti_odometry}
 

@@ -22,19 +22,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32
 
-from adafusion.datasets.native import (
-    CONVENTIONS,
+from adafusion.datasets.native import CONVENTIONS, Dataset, DatasetInfo, open_dataset
+from adafusion.datasets.sensor_files import (
     IMAGE_SUFFIXES,
-    Dataset,
-    DatasetInfo,
-    DatasetWriter,
     check_points,
     decode_image,
-    open_dataset,
     read_bytes,
     write_cloud,
     write_image,
 )
+from adafusion.datasets.writer import DatasetWriter
 from adafusion.geometry import invert, is_rigid, pose, transform
 from adafusion.types import Frame, Progress, UserError, silent
 

@@ -14,13 +14,9 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait
 from pathlib import Path
 
-from adafusion.datasets.native import (
-    Dataset,
-    DatasetInfo,
-    DatasetWriter,
-    open_dataset,
-    write_observation,
-)
+from adafusion.datasets.native import Dataset, DatasetInfo, open_dataset
+from adafusion.datasets.sensor_files import write_observation
+from adafusion.datasets.writer import DatasetWriter
 from adafusion.sim.regions import REGIONS
 from adafusion.sim.run.conditions import Conditions
 from adafusion.sim.run.route import Drive

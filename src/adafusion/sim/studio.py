@@ -12,7 +12,7 @@ from functools import cache, cached_property
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-from adafusion.datasets.native import check_run_name
+from adafusion.datasets.writer import check_run_name
 from adafusion.sim.numeric import keyed_rng, keyed_seed
 from adafusion.sim.run.conditions import Conditions, SeedName, preset, vary
 from adafusion.sim.run.parking import park_vehicles
