@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from adafusion.datasets import native
+from adafusion.datasets import sensor_files
 from adafusion.datasets.native import Dataset, DatasetInfo, open_dataset
 from adafusion.datasets.sensor_files import read_cloud, read_image, write_image, write_observation
 from adafusion.datasets.writer import DatasetWriter
@@ -234,7 +234,7 @@ def test_a_full_disk_is_told_with_the_remedy(
     def on_a_full_disk(path: Path) -> Iterator[Path]:
         yield Path("/dev/full")
 
-    monkeypatch.setattr(native, "atomic_path", on_a_full_disk)
+    monkeypatch.setattr(sensor_files, "atomic_path", on_a_full_disk)
     with (
         pytest.raises(UserError, match=r"toy\.partial cannot be written \(No space.*free space"),
         DatasetWriter(tmp_path / "toy", INFO) as writer,

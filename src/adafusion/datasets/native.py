@@ -23,6 +23,7 @@ import pyarrow.parquet as pq
 import yaml
 from jaxtyping import Bool, Float
 
+from adafusion.datasets.sensor_files import read_cloud, read_image
 from adafusion.files import fingerprint
 from adafusion.geometry import is_rigid
 from adafusion.types import Frame, Observation, UserError
@@ -199,7 +200,7 @@ def _read_run(root: Path, run: str, count: int) -> list[Frame]:
     path = table_path(root, run)
     remedy = f"restore it, or prepare {root} again"
     try:
-        table = pq.readtable_path(path, page_checksum_verification=True)
+        table = pq.read_table(path, page_checksum_verification=True)
         for name in OPTIONAL:
             if name not in table.column_names:
                 field = SCHEMA.field(name)

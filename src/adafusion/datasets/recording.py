@@ -10,14 +10,22 @@ and says where the time went.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from adafusion.datasets.native import DatasetInfo
-from adafusion.types import Frame
+from adafusion.datasets.native import Dataset, DatasetInfo, open_dataset
+from adafusion.datasets.sensor_files import check_points, write_cloud, write_image
+from adafusion.datasets.writer import DatasetWriter, check_run_name
+from adafusion.files import write_text
+from adafusion.types import Frame, Progress, UserError, silent
+from adafusion.workers import map_in_processes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,3 +56,166 @@ class Recording:
     # what a person should know, as "12 of 400 scans have no image within 10 ms: left out"; a
     # generator of shots may append to it to the end
     notes: list[str] = field(default_factory=list)
+
+
+SKIPPED_FILE = "skipped.txt"  # of a dataset that lacks what was damaged
+
+
+class Skipped(NamedTuple):
+    """A frame that was left out, or the end of a stream that broke off."""
+
+    key: str  # "run/timestamp_us"; "" where no frame is known
+    reason: str  # names file and remedy
+
+
+@dataclass(frozen=True, kw_only=True)
+class Written:
+    """What became of a recording."""
+
+    dataset: Dataset
+    skipped: tuple[Skipped, ...]
+    resumed: int  # frames that an earlier, unfinished job had written
+    seconds: float
+    # seconds of work, over all processes: finding the next frame, decoding, writing
+    reading_s: float
+    decoding_s: float
+    writing_s: float
+
+    @property
+    def frames_per_second(self) -> float:
+        """Of those written by this call."""
+        return (len(self.dataset.frames) - self.resumed) / self.seconds
+
+    @property
+    def decode_share(self) -> float:
+        """Share of the work that was decoding, in [0, 1]."""
+        return self.decoding_s / max(self.reading_s + self.decoding_s + self.writing_s, 1e-9)
+
+
+def write_recording(
+    recording: Recording,
+    out: str | Path,
+    *,
+    workers: int = 1,
+    skip_bad: bool = False,
+    progress: Progress = silent,
+) -> Written:
+    """Decode every frame of a recording and write it as the dataset `out`.
+
+    A few frames for each of `workers` processes are in memory at a time. A job that was cut off
+    goes on where it was when it is asked for the same again. With `skip_bad` a frame whose image or
+    cloud is damaged is left out and listed, and so is the rest of a stream that breaks off;
+    otherwise UserError names the first, and there is no `out` then.
+    """
+    start = time.perf_counter()
+    clock = _Clock()
+    skipped: list[Skipped] = []
+    resumed = 0
+    with DatasetWriter(out, recording.info) as writer:
+        tasks = _tasks(recording, writer, skip_bad, skipped, clock)
+        work = partial(_make, writer.folder, skip_bad)
+        made = map_in_processes(work, tasks, workers)
+        for result in progress(made, total=recording.total, desc="preparing"):
+            clock.decoding += result.decoding_s
+            clock.writing += result.writing_s
+            if result.fault is not None:
+                skipped.append(Skipped(result.frame.key, result.fault))
+                continue
+            resumed += result.was_there
+            writer.add_written(result.frame)
+    if skipped:
+        lines = (f"{one.key or 'the rest'}: {one.reason}\n" for one in skipped)
+        write_text(Path(out) / SKIPPED_FILE, "".join(lines))
+    return Written(
+        dataset=open_dataset(out),
+        skipped=tuple(skipped),
+        resumed=resumed,
+        seconds=time.perf_counter() - start,
+        reading_s=clock.reading,
+        decoding_s=clock.decoding,
+        writing_s=clock.writing,
+    )
+
+
+@dataclass
+class _Clock:
+    """Seconds of work."""
+
+    reading: float = 0.0
+    decoding: float = 0.0
+    writing: float = 0.0
+
+
+class _Result(NamedTuple):
+    """What a process says of a frame."""
+
+    frame: Frame
+    fault: str | None = None  # why the frame is left out
+    was_there: bool = False
+    decoding_s: float = 0.0
+    writing_s: float = 0.0
+
+
+def _tasks(
+    recording: Recording,
+    writer: DatasetWriter,
+    skip_bad: bool,
+    skipped: list[Skipped],
+    clock: _Clock,
+) -> Iterator[Shot]:
+    """Frames still to be decoded; those an earlier job wrote have no functions left."""
+    shots = iter(recording.shots)
+    seen: set[str] = set()
+    while True:
+        before = time.perf_counter()
+        try:
+            shot = next(shots, None)
+        except UserError as error:  # a stream that breaks off: what came before it is whole
+            if not skip_bad:
+                raise
+            skipped.append(Skipped("", str(error)))
+            return
+        finally:
+            clock.reading += time.perf_counter() - before
+        if shot is None:
+            return
+        frame = shot.frame
+        check_run_name(frame.run)
+        if frame.key in seen:
+            fault = f"two frames of run {frame.run} have the time {frame.timestamp_us}: remove one"
+            if not skip_bad:
+                raise UserError(fault)
+            skipped.append(Skipped(frame.key, fault))
+            continue
+        seen.add(frame.key)
+        image, cloud = writer.written(frame.run, frame.timestamp_us)
+        if (image or shot.image is None) and (cloud or shot.cloud is None):
+            frame = replace(
+                frame,
+                image=image if shot.image else None,
+                cloud=cloud if shot.cloud else None,
+            )
+            shot = replace(shot, frame=frame, image=None, cloud=None)
+        yield shot
+
+
+def _make(folder: Path, skip_bad: bool, shot: Shot) -> _Result:
+    """Decode and write one frame; both files or none."""
+    frame, start = shot.frame, time.perf_counter()
+    if shot.image is None and shot.cloud is None:
+        return _Result(frame, was_there=True)
+    try:
+        image = None if shot.image is None else shot.image()
+        points = None if shot.cloud is None else check_points(shot.cloud(), frame.key)
+    except UserError as error:
+        if not skip_bad:
+            raise
+        return _Result(frame, str(error), decoding_s=time.perf_counter() - start)
+    decoded = time.perf_counter()
+    where = folder, frame.run, frame.timestamp_us
+    frame = replace(
+        frame,
+        image=None if image is None else write_image(*where, image, shot.image_suffix),
+        cloud=None if points is None else write_cloud(*where, points),
+    )
+    return _Result(frame, decoding_s=decoded - start, writing_s=time.perf_counter() - decoded)

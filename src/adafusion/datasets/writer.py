@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from types import TracebackType
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
@@ -67,11 +68,15 @@ class DatasetWriter:
 
     def has(self, run: str, timestamp_us: int, *, image: bool = True, cloud: bool = True) -> bool:
         """Whether the files of this frame are there already, of the sensors that are asked for."""
-        images = [self.folder / run / "images" / f"{timestamp_us}{s}" for s in IMAGE_SUFFIXES]
-        points = self.folder / run / "clouds" / f"{timestamp_us}.npy"
-        return (not image or any(path.exists() for path in images)) and (
-            not cloud or points.exists()
-        )
+        there = self.written(run, timestamp_us)
+        return (not image or there[0] is not None) and (not cloud or there[1] is not None)
+
+    def written(self, run: str, timestamp_us: int) -> tuple[str | None, str | None]:
+        """Names of the image and the cloud of this frame that are there already."""
+        images = [f"{run}/images/{timestamp_us}{suffix}" for suffix in IMAGE_SUFFIXES]
+        image = next((name for name in images if (self.folder / name).exists()), None)
+        cloud = f"{run}/clouds/{timestamp_us}.npy"
+        return image, cloud if (self.folder / cloud).exists() else None
 
     def add(self, frame: Frame, observation: Observation, image_suffix: str = ".png") -> Frame:
         """Write `observation` and record `frame`; return the frame with its file names."""
@@ -116,7 +121,7 @@ class DatasetWriter:
         self._remove_strays()
         for run, frames in runs.items():
             with atomic_path(table_path(self.folder, run)) as temporary:
-                pq.writetable_path(_totable_path(frames), temporary, write_page_checksum=True)
+                pq.write_table(_to_table(frames), temporary, write_page_checksum=True)
         counts = {run: len(frames) for run, frames in runs.items()}
         write_text(self.folder / "dataset.yaml", _to_yaml(self.info, counts))
         open_dataset(self.folder)  # nothing takes the name of a dataset that cannot be opened
@@ -154,7 +159,7 @@ def _to_yaml(info: DatasetInfo, counts: dict[str, int] | None = None) -> str:
     return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
 
 
-def _totable_path(frames: Sequence[Frame]) -> pa.Table:
+def _to_table(frames: Sequence[Frame]) -> pa.Table:
 
     def column(poses: Iterable[Float[np.ndarray, "4 4"] | None]) -> list[list[float] | None]:
         return [None if T is None else T.ravel().tolist() for T in poses]

@@ -4,14 +4,8 @@
 
 from __future__ import annotations
 
-import os
-import threading
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
-from multiprocessing import get_context, parent_process
-from multiprocessing.connection import wait
 from pathlib import Path
 
 from adafusion.datasets.native import Dataset, DatasetInfo, open_dataset
@@ -23,6 +17,7 @@ from adafusion.sim.run.route import Drive
 from adafusion.sim.studio import Job, Studio, make_job
 from adafusion.sim.town.world import geometry_hash
 from adafusion.types import Frame, Progress, UserError, silent
+from adafusion.workers import map_in_processes
 
 # of this generator: changes whenever the same seed would give other bytes. The "v1" of the named
 # worlds counts apart: it stands for hashes, and a later version that still builds them keeps it
@@ -124,28 +119,19 @@ def _render(
     studio: Studio, folder: Path, todo: Sequence[tuple[str, int]], workers: int
 ) -> Iterable[tuple[str, int]]:
     """Render and write frames, yielding each that is done."""
-    if workers == 1 or len(todo) < 2:
-        for run, k in todo:
-            write_observation(folder, run, *studio.observe(run, k))
-            yield run, k
+    if not todo:
         return
     # the first frame here: it compiles the kernels once, before several processes ask for them
     write_observation(folder, todo[0][0], *studio.observe(*todo[0]))
     yield todo[0]
-    context = get_context("spawn")
-    with ProcessPoolExecutor(
-        workers, mp_context=context, initializer=_start_worker, initargs=(studio.job, folder)
-    ) as pool:
-        try:
-            yield from pool.map(_work, todo[1:], chunksize=8)
-        except BrokenProcessPool as error:
-            raise RuntimeError(
-                f"a rendering process was killed (out of memory?): {folder} keeps whole frames, "
-                f"repeat the command, with fewer workers if need be"
-            ) from error
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    if workers == 1:
+        for run, k in todo[1:]:
+            write_observation(folder, run, *studio.observe(run, k))
+            yield run, k
+    else:
+        yield from map_in_processes(
+            _work, todo[1:], workers, start=_start_worker, arguments=(studio.job, folder)
+        )
 
 
 _worker: tuple[Studio, Path] | None = None  # of a rendering process
@@ -153,10 +139,6 @@ _worker: tuple[Studio, Path] | None = None  # of a rendering process
 
 def _start_worker(job: Job, folder: Path) -> None:
     global _worker
-    parent = parent_process()
-    if parent is not None:  # a killed parent must not leave its workers rendering
-        watch = [parent.sentinel]
-        threading.Thread(target=lambda: (wait(watch), os._exit(1)), daemon=True).start()
     _worker = Studio(job), folder
 
 
