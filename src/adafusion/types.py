@@ -8,7 +8,7 @@ Metres, radians, integer microseconds.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar, runtime_checkable
 
@@ -68,13 +68,10 @@ class Frame:
         return f"{self.run}/{self.timestamp_us}"
 
 
-def lacking(frame: Frame, system: str) -> tuple[str, ...]:
-    """Which sensors a model's `system` needs and `frame` has no file of; () where it can be used.
-
-    A system that is named after a sensor needs that one alone, every other one needs both.
-    """
+def lacking(frame: Frame, sensors: Collection[str]) -> tuple[str, ...]:
+    """Which of `sensors` the frame has no file of; () where it can be used."""
     files = dict(zip(SENSORS, (frame.image, frame.cloud), strict=True))
-    return tuple(name for name in ((system,) if system in SENSORS else SENSORS) if not files[name])
+    return tuple(name for name in SENSORS if name in sensors and not files[name])
 
 
 @dataclass(frozen=True, slots=True)

@@ -132,7 +132,7 @@ def test_tensors_of_another_size_are_refused() -> None:
     image, voxels = batch()
     with pytest.raises(ValueError, match=r"takes \(48, 64\)"):
         model(image[..., :32], voxels)
-    with pytest.raises(ValueError, match=r"takes \(16, 16, 8\)"):
+    with pytest.raises(ValueError, match=r"takes \(1, 16, 16, 8\)"):
         model(image, voxels[..., :4])
 
 

@@ -35,7 +35,7 @@ def test_gives_tensors_of_its_own_sizes() -> None:
 
 def test_removes_the_ground_before_it_voxelises() -> None:
     points = np.array([[1, 1, 0.4], [0, 0, 1.2]], dtype=np.float32)
-    assert torch.nonzero(SMALL.voxel_tensor(points)).tolist() == [[0, 0, 0, 1]]
+    assert torch.nonzero(SMALL.lidar_tensor(points)).tolist() == [[0, 0, 0, 1]]
 
 
 def test_a_missing_sensor_stays_missing() -> None:

@@ -100,8 +100,8 @@ def test_reads_a_missing_sensor_as_zeros_and_says_so(tmp_path: Path) -> None:
     assert prepared.has_image.tolist() == [True, False, True, True]
     assert prepared.has_cloud.tolist() == [True, True, False, True]
     assert not prepared.images_u8(np.array([1])).any()
-    assert not prepared.voxels(np.array([2])).any()
-    assert prepared.voxels(np.array([1])).any()
+    assert not prepared.lidar(np.array([2])).any()
+    assert prepared.lidar(np.array([1])).any()
 
 
 def test_loads_each_frame_once_and_nothing_the_second_time(tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ cache.prepare_cache(town, t.settings(), {str(tmp_path)!r}, workers=1)
     resumed = prepare_cache(town, settings(), tmp_path)
     whole = prepare_cache(world(40), settings(), tmp_path / "other")
     assert sorted(town.loads) == sorted(frame.key for frame in town.frames[done:])
-    for name in ("images.npy", "voxels.npy", "rows.npy"):
+    for name in ("images.npy", "lidar.npy", "rows.npy"):
         assert (resumed.folder / name).read_bytes() == (whole.folder / name).read_bytes()
 
 
@@ -169,7 +169,7 @@ def test_two_builders_of_the_same_cache_take_turns(tmp_path: Path) -> None:
     with ThreadPoolExecutor(2) as pool:
         one, two = [pool.submit(prepare_cache, town, settings(), tmp_path) for _ in range(2)]
         rows = np.arange(12)
-        assert torch.equal(one.result().voxels(rows), two.result().voxels(rows))
+        assert torch.equal(one.result().lidar(rows), two.result().lidar(rows))
     assert len(town.loads) == 12
 
 
@@ -195,7 +195,7 @@ def test_a_frame_that_cannot_be_read_stops_it_and_leaves_no_whole_cache(
     assert prepared.has_image.all()
 
 
-@pytest.mark.parametrize("name", ["images.npy", "voxels.npy", "rows.npy"])
+@pytest.mark.parametrize("name", ["images.npy", "lidar.npy", "rows.npy"])
 @pytest.mark.parametrize("harm", ["cut", "flip", "header", "gone"])
 def test_refuses_a_damaged_file_by_name_with_the_remedy(
     tmp_path: Path, name: str, harm: str
@@ -256,7 +256,7 @@ def test_several_worlds_read_as_one(tmp_path: Path) -> None:
     assert together.images_u8(np.array([6])).shape == (1, 6, 9, 3)
     assert together.images_u8(np.array([], dtype=np.int64)).shape == (0, 6, 9, 3)
     with pytest.raises(IndexError):
-        together.voxels(np.array([7]))
+        together.lidar(np.array([7]))
 
 
 def test_worlds_prepared_in_different_ways_do_not_mix(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from adafusion.models.config import ModelConfig
 from adafusion.types import Frame, lacking
 
 
@@ -20,4 +21,5 @@ def test_a_system_of_one_sensor_needs_no_other(
     image: str | None, cloud: str | None, missing: dict[str, tuple[str, ...]]
 ) -> None:
     frame = Frame(run="day", timestamp_us=0, position_m=(0.0, 0.0, 0.0), image=image, cloud=cloud)
-    assert {system: lacking(frame, system) for system in missing} == missing
+    sensors = {system: ModelConfig(system=system).sensors for system in missing}
+    assert {system: lacking(frame, sensors[system]) for system in missing} == missing

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from adafusion.datasets import Dataset
     from adafusion.mapping import Answer, Localizer, PlaceMap
-    from adafusion.models import AdaFusion
+    from adafusion.models import PlaceModel
     from adafusion.types import Frame
 
 app = typer.Typer(help="Make, extend and inspect maps of described places.", no_args_is_help=True)
@@ -226,14 +226,14 @@ def _used(answer: Answer) -> str:
     return f"trust: image {answer.alpha[0]:.2f}, lidar {answer.alpha[1]:.2f}"
 
 
-def _describe(dataset: Dataset, model: AdaFusion, runs: str | None, frames: str) -> PlaceMap:
+def _describe(dataset: Dataset, model: PlaceModel, runs: str | None, frames: str) -> PlaceMap:
     """Make an in-memory map of the chosen frames that have the sensors the model needs."""
     from adafusion.mapping import MapHeader, PlaceMap
     from adafusion.models import describe, frame_batches
     from adafusion.types import UserError, lacking
 
     chosen = choose_frames(dataset, runs, frames)
-    usable = [frame for frame in chosen if not lacking(frame, model.config.system)]
+    usable = [frame for frame in chosen if not lacking(frame, model.sensors)]
     if not usable:
         raise UserError(
             f"{dataset.root}: no chosen frame has the sensors that model {model.name!r} needs; "

@@ -50,9 +50,7 @@ def read_cloud(path: str | Path) -> Float32[np.ndarray, "n 3"]:
     return check_points(points, path)
 
 
-def check_points(
-    points: Float[np.ndarray, "n 3"], path: str | Path
-) -> Float[np.ndarray, "n 3"]:
+def check_points(points: Float[np.ndarray, "n 3"], path: str | Path) -> Float[np.ndarray, "n 3"]:
     """Return `points` if there are any and all are finite; else UserError that names `path`."""
     if len(points) == 0:
         raise _damaged(path, "holds no points", "cloud")

@@ -18,7 +18,7 @@ from adafusion.datasets.splits import region_of
 from adafusion.evaluation.evaluate import Evaluation, evaluate_splits
 from adafusion.evaluation.protocols import make_splits
 from adafusion.evaluation.weights import summarize_alpha
-from adafusion.models import AdaFusion, describe, prepared_batches
+from adafusion.models import PlaceModel, describe, prepared_batches
 from adafusion.preprocess.cache import prepare_cache
 from adafusion.types import (
     AlphaSummary,
@@ -40,7 +40,7 @@ BATCH = 8
 class Judged:
     """One model's descriptions of a dataset's frames, and what they were worth."""
 
-    model: AdaFusion
+    model: PlaceModel
     descriptions: Descriptions  # one row a frame of the dataset; NaN where no split asked
     evaluation: Evaluation
     num_lacking: int  # frames of the splits left out, for they lack a sensor some model needs
@@ -71,7 +71,7 @@ def dataset_splits(
 
 
 def judge(
-    models: Sequence[AdaFusion],
+    models: Sequence[PlaceModel],
     dataset: Dataset,
     splits: Sequence[Split],
     cache_dir: str | Path,
@@ -93,8 +93,8 @@ def judge(
             "give one of the files another name"
         )
     asked = _rows(splits)
-    systems = {model.config.system for model in models}
-    lacks = np.array([any(lacking(f, system) for system in systems) for f in dataset.frames])
+    wanted = {sensor for model in models for sensor in model.sensors}
+    lacks = np.array([bool(lacking(f, wanted)) for f in dataset.frames])
     splits = [split for full in splits if (split := _without(full, lacks, dataset.frames))]
     if not splits:
         raise UserError(

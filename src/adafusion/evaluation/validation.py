@@ -11,13 +11,13 @@ from jaxtyping import Float, Int
 
 from adafusion.evaluation.evaluate import evaluate_splits
 from adafusion.evaluation.protocols import make_splits
-from adafusion.models import AdaFusion, describe, prepared_batches
+from adafusion.models import PlaceModel, describe, prepared_batches
 from adafusion.preprocess.cache import PreparedSet
 
 
 def validation_recall(
     data: PreparedSet, rows: Int[np.ndarray, " n"]
-) -> Callable[[AdaFusion], dict[str, float]]:
+) -> Callable[[PlaceModel], dict[str, float]]:
     """Make the function that judges a model on `rows` of the data: {"recall@1": 0.8, ...}.
 
     Recall is that of protocol cross-run in each world, averaged over the worlds. Beside the fused
@@ -43,7 +43,7 @@ def validation_recall(
         ]
         return float(np.mean(values))
 
-    def validate(model: AdaFusion) -> dict[str, float]:
+    def validate(model: PlaceModel) -> dict[str, float]:
         d = describe(model, prepared_batches(data, rows, batch_size=32))
         assert d.fused is not None
         values = {"recall@1": recall(d.fused)}

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from adafusion.mapping.place_map import PlaceMap
-from adafusion.models import AdaFusion, describe
+from adafusion.models import PlaceModel, describe
 from adafusion.search import rank
 from adafusion.types import SENSORS, UserError
 
@@ -60,7 +60,7 @@ class Localizer:
     their descriptors would mean nothing.
     """
 
-    def __init__(self, model: AdaFusion, place_map: PlaceMap, k: int = 5) -> None:
+    def __init__(self, model: PlaceModel, place_map: PlaceMap, k: int = 5) -> None:
         if k < 1:
             raise ValueError(f"k {k} must be at least 1")
         header = place_map.header
@@ -92,15 +92,16 @@ class Localizer:
         """
         given = {"image": _checked_image(image_u8), "lidar": _checked_cloud(points_m)}
         used, part = self._choose([name for name in SENSORS if given[name] is not None])
-        image, voxels = self.model.preprocess(
+        image, lidar = self.model.preprocess(
             *(given[name] if name in used else None for name in SENSORS)
         )
-        if voxels is not None and not voxels.any():
+        # of an elevation map, the first channel is what the LiDAR saw
+        if lidar is not None and not (lidar if lidar.ndim == 2 else lidar[0]).any():
             raise UserError(
-                "no point of the cloud falls into the model's voxels; "
+                "no point of the cloud falls into the box that the model looks at; "
                 "give metres in the body frame (x forward, y left, z up, z = 0 the ground)"
             )
-        batch = (None if image is None else image[None], None if voxels is None else voxels[None])
+        batch = (None if image is None else image[None], None if lidar is None else lidar[None])
         query = describe(self.model, [batch])
         rows, distances = rank(
             getattr(query, part),

@@ -28,7 +28,7 @@ from jaxtyping import Float, Float32, Float64
 
 from adafusion.datasets import Dataset
 from adafusion.files import fingerprint
-from adafusion.models import AdaFusion
+from adafusion.models import PlaceModel
 from adafusion.types import Descriptions, Frame, UserError
 
 FORMAT = 2  # of the table; raised when an older reader would misread it
@@ -58,15 +58,18 @@ class MapHeader:
             raise ValueError(f"p {self.p} must be 1 or 2")
 
     @classmethod
-    def of(cls, model: AdaFusion, dataset: Dataset, p: int = 1) -> MapHeader:
-        """Head a map of places that `model` describes from frames of `dataset`."""
+    def of(cls, model: PlaceModel, dataset: Dataset, p: int | None = None) -> MapHeader:
+        """Head a map of places that `model` describes from frames of `dataset`.
+
+        `p` None is the distance that the model's system is searched by.
+        """
         return cls(
             model=model.name,
             model_fingerprint=model.fingerprint,
             preprocess_fingerprint=model.preprocess_fingerprint,
             synthetic=dataset.info.synthetic,
             world=dataset.world,
-            p=p,
+            p=model.config.p if p is None else p,
         )
 
     def differences(self, other: MapHeader) -> list[str]:

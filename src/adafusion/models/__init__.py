@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks that describe a place, their files, and the gate from tensors back to arrays."""
 
-from adafusion.models.adafusion import AdaFusion, ModelConfig
+from adafusion.models.adafusion import AdaFusion
+from adafusion.models.base import PlaceModel
+from adafusion.models.config import ModelConfig
 from adafusion.models.describe import (
     describe,
     frame_batches,
@@ -11,11 +13,15 @@ from adafusion.models.describe import (
 )
 from adafusion.models.released import import_released
 from adafusion.models.store import SHIPPED, load_model, read_header, save_model
+from adafusion.models.systems import SYSTEMS, build_system
 
 __all__ = [
     "SHIPPED",
+    "SYSTEMS",
     "AdaFusion",
     "ModelConfig",
+    "PlaceModel",
+    "build_system",
     "describe",
     "frame_batches",
     "import_released",

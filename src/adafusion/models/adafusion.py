@@ -4,58 +4,27 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, field
-from typing import Literal
-
-import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from torch import Tensor, nn
 
-from adafusion.config import to_plain
-from adafusion.files import fingerprint
 from adafusion.models.attention import VALUE_CHANNELS, ChannelAttention, SpatialAttention
-from adafusion.models.backbones import Backbone, Conv, Conv3d, image_backbone, voxel_backbone
-from adafusion.preprocess import Preprocess
+from adafusion.models.backbones import (
+    Backbone,
+    Conv,
+    Conv3d,
+    image_backbone,
+    initialise_he,
+    voxel_backbone,
+)
+from adafusion.models.base import PlaceModel
+from adafusion.models.config import LEVELS, Attention, ModelConfig
 from adafusion.types import Description
 
-System = Literal["adafusion", "concat", "image", "lidar"]
-Attention = Literal["released", "paper"]
-
-LEVELS = 3
 ATTENTION_WIDTH = 128  # length of a_I and a_P
 
 
-@dataclass(frozen=True, kw_only=True)
-class ModelConfig:
-    """What a model is: enough to build it again and to feed it.
-
-    `adafusion` weighs two branches, `concat` joins them unweighted, `image` and `lidar` are one
-    branch alone, whose descriptor is its half: `dim // 2` numbers.
-    """
-
-    system: System = "adafusion"
-    dim: int = 256  # length of the fused descriptor
-    width: float = 1.0  # channels of the branches, as a share of the paper's
-    attention_levels: int = 3  # the n deepest; 0: the weights come from the pooled features
-    attention: Attention = "released"
-    preprocess: Preprocess = field(default_factory=Preprocess)
-
-    def __post_init__(self) -> None:
-        if self.system not in ("adafusion", "concat", "image", "lidar"):
-            raise ValueError(f"system {self.system!r}: choose adafusion, concat, image or lidar")
-        if self.dim < 2 or self.dim % 2:
-            raise ValueError(f"dim {self.dim} must be even: each sensor gives one half")
-        if not 0 < self.width <= 4:
-            raise ValueError(f"width {self.width} must be in (0, 4]")
-        if not 0 <= self.attention_levels <= LEVELS:
-            raise ValueError(f"attention_levels {self.attention_levels} must be 0 to {LEVELS}")
-        if self.attention not in ("released", "paper"):
-            raise ValueError(f"attention {self.attention!r}: choose released or paper")
-
-
-class AdaFusion(nn.Module):
+class AdaFusion(PlaceModel):
     """One image and one voxel grid in, one descriptor and two weights out.
 
     Nothing is detached: the loss on the fused descriptor reaches every parameter, as the paper
@@ -63,9 +32,7 @@ class AdaFusion(nn.Module):
     """
 
     def __init__(self, config: ModelConfig, name: str = "") -> None:
-        super().__init__()
-        self.config = config
-        self.name = name or config.system
+        super().__init__(config, name)
         half = config.dim // 2
         self.image_net = image_backbone(half, config.width) if config.system != "lidar" else None
         self.voxel_net = voxel_backbone(half, config.width) if config.system != "image" else None
@@ -82,19 +49,19 @@ class AdaFusion(nn.Module):
         self._backbones_frozen = False
 
     def forward(
-        self, image: Float[Tensor, "b 3 h w"] | None, voxels: Float[Tensor, "b 1 x y z"] | None
+        self, image: Float[Tensor, "b 3 h w"] | None, lidar: Float[Tensor, "b 1 x y z"] | None
     ) -> Description:
         """Describe a batch. With one sensor None, only the other's half is given.
 
         Raises ValueError for tensors of another size than the model's own: the network is fully
         convolutional and would accept them, and match worse without a word.
         """
-        self._check_sizes(image, voxels)
+        self.check_sizes(image, lidar)
         f_I = f_P = fused = alpha = None
         if image is not None and self.image_net is not None:
             f_I, image_stages = self.image_net(image)
-        if voxels is not None and self.voxel_net is not None:
-            f_P, voxel_stages = self.voxel_net(voxels)
+        if lidar is not None and self.voxel_net is not None:
+            f_P, voxel_stages = self.voxel_net(lidar)
 
         if f_I is not None and f_P is not None:
             if self.weight_net is None:
@@ -106,28 +73,10 @@ class AdaFusion(nn.Module):
             fused = f_I if f_I is not None else f_P
         return Description(fused, f_I, f_P, alpha)
 
-    def preprocess(
-        self,
-        image_u8: UInt8[np.ndarray, "h w 3"] | None,
-        points_m: Float[np.ndarray, "n 3"] | None,
-    ) -> tuple[Float[Tensor, "3 h2 w2"] | None, Float[Tensor, "1 x y z"] | None]:
-        """Turn a raw RGB image and a cloud (body frame, metres) into the model's own tensors."""
-        return self.config.preprocess(image_u8, points_m)
-
-    @property
-    def fingerprint(self) -> str:
-        """Identity of what the model computes: its weights, its graph, its preprocessing."""
-        weights = [
-            part
-            for name, tensor in sorted(self.state_dict().items())
-            for part in (name, tensor.detach().cpu().contiguous().numpy().tobytes())
-        ]
-        return fingerprint(json.dumps(to_plain(self.config), sort_keys=True), *weights)
-
-    @property
-    def preprocess_fingerprint(self) -> str:
-        """Identity of the preprocessing alone."""
-        return self.config.preprocess.fingerprint
+    def initialise(self, generator: torch.Generator) -> None:
+        """Draw the branches so that the signal keeps its size: see `initialise_he`."""
+        for net in self.backbones:
+            initialise_he(net, generator)
 
     def freeze_backbones(self) -> None:
         """Let the weight branch alone learn (`stage="weights"`).
@@ -152,21 +101,6 @@ class AdaFusion(nn.Module):
             for net in self.backbones:
                 net.eval()
         return self
-
-    def _check_sizes(self, image: Tensor | None, voxels: Tensor | None) -> None:
-        settings = self.config.preprocess
-        if (image is None or self.image_net is None) and (voxels is None or self.voxel_net is None):
-            raise ValueError(f"model {self.name!r} was given nothing that it looks at")
-        if image is not None and tuple(image.shape[2:]) != settings.image.size:
-            raise ValueError(
-                f"image of {tuple(image.shape[2:])} (height, width); model {self.name!r} takes "
-                f"{settings.image.size}: make it with model.preprocess"
-            )
-        if voxels is not None and tuple(voxels.shape[2:]) != settings.voxels.shape:
-            raise ValueError(
-                f"voxels of {tuple(voxels.shape[2:])} cells; model {self.name!r} takes "
-                f"{settings.voxels.shape}: make them with model.preprocess"
-            )
 
 
 class WeightBranch(nn.Module):

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor, nn
 
-from adafusion.models.adafusion import AdaFusion
+from adafusion.models.base import PlaceModel
 from adafusion.preprocess.cache import PreparedFrames, PreparedSet
 from adafusion.types import (
     Description,
@@ -22,10 +22,10 @@ from adafusion.types import (
     lacking,
 )
 
-Inputs = tuple[Tensor | None, Tensor | None]  # image (B, 3, H, W), voxels (B, 1, X, Y, Z)
+Inputs = tuple[Tensor | None, Tensor | None]  # images (B, 3, H, W), LiDAR as the model has it
 
 
-def describe(model: AdaFusion, batches: Iterable[Inputs]) -> Descriptions:
+def describe(model: PlaceModel, batches: Iterable[Inputs]) -> Descriptions:
     """Describe batches of tensors, one row a frame.
 
     The model is left in the mode it was in. A part that the system does not have is None.
@@ -46,7 +46,7 @@ def describe(model: AdaFusion, batches: Iterable[Inputs]) -> Descriptions:
 
 
 def frame_batches(
-    model: AdaFusion,
+    model: PlaceModel,
     frames: Sequence[Frame],
     load: Callable[[Frame], Observation],
     batch_size: int = 8,
@@ -55,23 +55,23 @@ def frame_batches(
 
     Raises UserError for a frame that lacks one of them.
     """
-    if poor := next((f for f in frames if lacking(f, model.config.system)), None):
+    if poor := next((f for f in frames if lacking(f, model.sensors)), None):
         raise UserError(
             f"frame {poor.key} lacks a sensor that model {model.name!r} needs: leave it out, or "
             "take a model of the other sensor"
         )
     for start in range(0, len(frames), batch_size):
         images: list[Tensor] = []
-        grids: list[Tensor] = []
+        clouds: list[Tensor] = []
         for frame in frames[start : start + batch_size]:
             seen = load(frame)
-            image, voxels = model.preprocess(
-                None if model.image_net is None else seen.image,
-                None if model.voxel_net is None else seen.points_body,
+            image, lidar = model.preprocess(
+                seen.image if "image" in model.sensors else None,
+                seen.points_body if "lidar" in model.sensors else None,
             )
             images += [] if image is None else [image]
-            grids += [] if voxels is None else [voxels]
-        yield (torch.stack(images) if images else None, torch.stack(grids) if grids else None)
+            clouds += [] if lidar is None else [lidar]
+        yield (torch.stack(images) if images else None, torch.stack(clouds) if clouds else None)
 
 
 def prepared_batches(

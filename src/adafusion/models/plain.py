@@ -14,8 +14,9 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from adafusion.models.adafusion import LEVELS, AdaFusion, MultiScaleAttention
+from adafusion.models.adafusion import AdaFusion, MultiScaleAttention
 from adafusion.models.attention import KEY_CHANNELS, ChannelAttention, SpatialAttention
+from adafusion.models.config import LEVELS
 from adafusion.types import Description
 
 

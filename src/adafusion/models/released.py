@@ -12,7 +12,8 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
-from adafusion.models.adafusion import AdaFusion, ModelConfig
+from adafusion.models.adafusion import AdaFusion
+from adafusion.models.config import ModelConfig
 from adafusion.preprocess import ImageSettings, Preprocess, VoxelGrid
 from adafusion.types import UserError
 

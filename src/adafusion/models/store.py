@@ -16,14 +16,16 @@ from safetensors.torch import save_file
 
 from adafusion.config import from_plain, to_plain
 from adafusion.files import atomic_path
-from adafusion.models.adafusion import AdaFusion, ModelConfig
+from adafusion.models.base import PlaceModel
+from adafusion.models.config import ModelConfig
+from adafusion.models.systems import build_system
 from adafusion.types import UserError
 
 FORMAT = "adafusion-model-1"
 SHIPPED = ("adafusion-s", "concat-s", "image-s", "lidar-s")
 
 
-def load_model(name_or_path: str | Path, device: str | torch.device = "cpu") -> AdaFusion:
+def load_model(name_or_path: str | Path, device: str | torch.device = "cpu") -> PlaceModel:
     """Load a shipped model by name, or a .safetensors file, ready to describe places, not to learn.
 
     A file is known by its stem, or by its folder where it has the name that every training gives:
@@ -33,7 +35,7 @@ def load_model(name_or_path: str | Path, device: str | torch.device = "cpu") -> 
     path = model_path(name_or_path)
     config, _ = read_header(path)
     name = path.resolve().parent.name if path.stem == "model" else path.stem
-    model = AdaFusion(config, name=name)
+    model = build_system(config, name)
     try:
         with safe_open(path, framework="pt") as file:
             model.load_state_dict({key: file.get_tensor(key) for key in file.keys()})  # noqa: SIM118
@@ -42,7 +44,7 @@ def load_model(name_or_path: str | Path, device: str | torch.device = "cpu") -> 
     return model.to(device).eval().requires_grad_(False)
 
 
-def save_model(model: AdaFusion, path: str | Path, card: Mapping[str, Any] | None = None) -> None:
+def save_model(model: PlaceModel, path: str | Path, card: Mapping[str, Any] | None = None) -> None:
     """Write a model file atomically; `card` (plain JSON values) says where the weights are from."""
     weights = {key: value.detach().cpu().contiguous() for key, value in model.state_dict().items()}
     header = {

@@ -75,16 +75,16 @@ def color_jitter(
 
 def blank_sensors(
     images: Float[Tensor, "b 3 h w"],
-    voxels: Float[Tensor, "b 1 x y z"],
+    lidar: Float[Tensor, "b ..."],
     share: float,
     rng: np.random.Generator,
 ) -> None:
     """Take one of its two sensors, chosen by chance, from about `share` of the frames, in place.
 
-    A blanked image is black (-1), a blanked grid has no hit. Where a sensor can fail, the loss has
-    a reason to move the weights; on data where neither ever does it has next to none.
+    A blanked image is black (-1), a blanked LiDAR tensor is zero. Where a sensor can fail, the
+    loss has a reason to move the weights; on data where neither ever does it has next to none.
     """
     lost = rng.random(len(images)) < share
     is_image = rng.random(len(images)) < 0.5
     images[torch.from_numpy(lost & is_image)] = -1.0
-    voxels[torch.from_numpy(lost & ~is_image)] = 0.0
+    lidar[torch.from_numpy(lost & ~is_image)] = 0.0

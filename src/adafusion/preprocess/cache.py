@@ -4,9 +4,7 @@
 
     <cache_dir>/<fingerprint>/index.json    what this is, and how many frames are done
     <cache_dir>/<fingerprint>/images.npy    (N, h, w, 3) uint8, resized
-    <cache_dir>/<fingerprint>/voxels.npy    (N, bytes) uint8, 8 cells a byte, where occupancy is
-                                            binary; else (N, X, Y, Z): `count` uint8, `soft` and
-                                            `tdf` float16
+    <cache_dir>/<fingerprint>/lidar.npy     (N, ...) what `Preprocess.store_lidar` keeps
     <cache_dir>/<fingerprint>/rows.npy      (N,) which sensors a frame has, and checksums
 
 A frame takes 391 kB at 300 x 400 and 72 x 72 x 48 binary cells. The fingerprint is that of the
@@ -41,18 +39,16 @@ from torch import Tensor
 from adafusion.config import to_plain
 from adafusion.files import fingerprint, write_json
 from adafusion.preprocess import Preprocess
-from adafusion.preprocess.ground import remove_ground
-from adafusion.preprocess.image import resize, to_unit
-from adafusion.preprocess.voxels import pack, to_float, unpack, voxelize
+from adafusion.preprocess.image import from_unit, resize, to_unit
 from adafusion.types import Frame, Observation, Progress, UserError, silent
 
 log = logging.getLogger(__name__)
 
-CACHE_VERSION = 1
+CACHE_VERSION = 2
 CHECKPOINT = 128  # frames between two flushes: what a killed build loses at most
 
 _ROW = np.dtype(
-    [("has_image", "?"), ("has_cloud", "?"), ("images_crc", "<u4"), ("voxels_crc", "<u4")]
+    [("has_image", "?"), ("has_cloud", "?"), ("images_crc", "<u4"), ("lidar_crc", "<u4")]
 )
 
 
@@ -112,19 +108,15 @@ class PreparedFrames:
         """Resized RGB images; a missing one is black."""
         return torch.from_numpy(self._read("images", rows))
 
-    def voxels(self, rows: Int[np.ndarray, " b"]) -> Float32[Tensor, "b 1 x y z"]:
-        """Voxel grids as `Preprocess.voxel_tensor` gives them; a missing one is empty."""
-        grid = self.settings.voxels
-        stored = self._read("voxels", rows)
-        if grid.occupancy == "binary":
-            stored = unpack(stored, grid.shape)
-        return torch.from_numpy(to_float(stored, grid)).unsqueeze(1)
+    def lidar(self, rows: Int[np.ndarray, " b"]) -> Float32[Tensor, "b ..."]:
+        """LiDAR tensors as `Preprocess.lidar_tensor` gives them; those of no cloud are empty."""
+        return self.settings.load_lidar(self._read("lidar", rows))
 
     def tensors(
         self, rows: Int[np.ndarray, " b"]
-    ) -> tuple[Float32[Tensor, "b 3 h w"], Float32[Tensor, "b 1 x y z"]]:
+    ) -> tuple[Float32[Tensor, "b 3 h w"], Float32[Tensor, "b ..."]]:
         """What the network eats, to the bit as `settings` makes it from the raw frames."""
-        return to_unit(self.images_u8(rows)), self.voxels(rows)
+        return from_unit(to_unit(self.images_u8(rows)), self.settings.image), self.lidar(rows)
 
     def _read(self, name: str, rows: Int[np.ndarray, " b"]) -> Shaped[np.ndarray, "b ..."]:
         values = self._arrays[name][rows]
@@ -200,15 +192,15 @@ class PreparedSet:
         """As `PreparedFrames.images_u8`."""
         return self._gather(PreparedFrames.images_u8, rows)
 
-    def voxels(self, rows: Int[np.ndarray, " b"]) -> Float32[Tensor, "b 1 x y z"]:
-        """As `PreparedFrames.voxels`."""
-        return self._gather(PreparedFrames.voxels, rows)
+    def lidar(self, rows: Int[np.ndarray, " b"]) -> Float32[Tensor, "b ..."]:
+        """As `PreparedFrames.lidar`."""
+        return self._gather(PreparedFrames.lidar, rows)
 
     def tensors(
         self, rows: Int[np.ndarray, " b"]
-    ) -> tuple[Float32[Tensor, "b 3 h w"], Float32[Tensor, "b 1 x y z"]]:
+    ) -> tuple[Float32[Tensor, "b 3 h w"], Float32[Tensor, "b ..."]]:
         """As `PreparedFrames.tensors`."""
-        return to_unit(self.images_u8(rows)), self.voxels(rows)
+        return from_unit(to_unit(self.images_u8(rows)), self.settings.image), self.lidar(rows)
 
     def _gather(
         self,
@@ -313,11 +305,10 @@ def _prepare(
     if seen.image is not None:
         values["images"] = resize(seen.image, settings.image)
     if seen.points_body is not None:
-        stored = voxelize(remove_ground(seen.points_body, settings.ground), settings.voxels)
-        values["voxels"] = pack(stored) if settings.voxels.occupancy == "binary" else stored
+        values["lidar"] = settings.store_lidar(seen.points_body)
     row = values["rows"]
     row["has_image"], row["has_cloud"] = seen.image is not None, seen.points_body is not None
-    row["images_crc"], row["voxels_crc"] = _crc(values["images"]), _crc(values["voxels"])
+    row["images_crc"], row["lidar_crc"] = _crc(values["images"]), _crc(values["lidar"])
     return {name: value.tobytes() for name, value in values.items()}
 
 
@@ -343,14 +334,10 @@ def _in_order(
 
 def _layout(n: int, settings: Preprocess) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
     """Shape and dtype of each file's array."""
-    grid = settings.voxels
-    packed = (math.ceil(math.prod(grid.shape) / 8),)
+    lidar_shape, lidar_dtype = settings.stored_lidar
     return {
         "images": ((n, *settings.image.size, 3), np.dtype(np.uint8)),
-        "voxels": (
-            (n, *(packed if grid.occupancy == "binary" else grid.shape)),
-            np.dtype(np.uint8 if grid.occupancy in ("binary", "count") else np.float16),
-        ),
+        "lidar": ((n, *lidar_shape), lidar_dtype),
         "rows": ((n,), _ROW),
     }
 

@@ -6,12 +6,16 @@ from __future__ import annotations
 
 import operator
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
+
+# of the pixels of that collection, colours in [0, 1]; what its networks were trained with
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,15 +44,22 @@ class Crop:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageSettings:
-    """Crop first, then resize to `size` (height, width)."""
+    """Crop first, then resize to `size` (height, width), then scale the colours.
+
+    `unit` colours lie in [-1, 1]; `imagenet` ones have the mean and spread of that collection's
+    pixels taken out, as networks trained on it expect.
+    """
 
     size: tuple[int, int] = (300, 400)
     crop: Crop = field(default_factory=Crop)
+    colours: Literal["unit", "imagenet"] = "unit"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size", tuple(operator.index(n) for n in self.size))
         if len(self.size) != 2 or min(self.size) < 1:
             raise ValueError(f"image size {self.size} must be a positive (height, width)")
+        if self.colours not in ("unit", "imagenet"):
+            raise ValueError(f"colours {self.colours!r}: choose unit or imagenet")
 
 
 def resize(
@@ -78,3 +89,13 @@ def to_unit(images: UInt8[Tensor, "*b h w 3"]) -> Float[Tensor, "*b 3 h w"]:
     """Bytes to float32, channels first: x / 127.5 - 1, so 0 gives -1 and 255 gives 1 exactly."""
     channels_first = images.movedim(-1, -3).contiguous()  # while it is bytes, a quarter of the size
     return channels_first.to(torch.float32).div_(127.5).sub_(1.0)
+
+
+def from_unit(
+    images: Float[Tensor, "*b 3 h w"], settings: ImageSettings
+) -> Float[Tensor, "*b 3 h w"]:
+    """Colours in [-1, 1] scaled as the settings say."""
+    if settings.colours == "unit":
+        return images
+    mean, spread = (images.new_tensor(v)[:, None, None] for v in (IMAGENET_MEAN, IMAGENET_STD))
+    return ((images + 1.0) / 2.0 - mean) / spread

@@ -12,12 +12,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from jaxtyping import Float
 from safetensors.torch import load_file, save_file
 
 from adafusion.config import load_config, save_config
 from adafusion.files import atomic_path, sweep_temporaries
-from adafusion.models import AdaFusion
+from adafusion.models import PlaceModel
 from adafusion.training.settings import TrainConfig
 from adafusion.types import UserError
 
@@ -50,7 +52,7 @@ def require_config(path: Path, config: TrainConfig) -> None:
 
 def save_checkpoint(
     out: Path,
-    model: AdaFusion,
+    model: PlaceModel,
     optimizer: Any,
     scheduler: Any,
     done: int,
@@ -78,10 +80,35 @@ def save_checkpoint(
     for old in out.glob("weights-*.safetensors"):
         if old.name != weights:
             old.unlink()
+    for _, old in _described_before(out, done)[:-1]:
+        old.unlink()
+
+
+def keep_described(out: Path, done: int, descriptors: Float[np.ndarray, "n d"]) -> None:
+    """Keep the descriptors that batches after `done` are mined by, for a resumed training."""
+    with atomic_path(out / f"described-{done}.npy") as temporary:
+        np.save(temporary, descriptors, allow_pickle=False)
+
+
+def restore_described(out: Path, done: int) -> Float[np.ndarray, "n d"] | None:
+    """The descriptors that the batch after `done` was to be mined by; None before the first."""
+    kept = _described_before(out, done)
+    if not kept:
+        return None
+    try:
+        return np.load(kept[-1][1], allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise UserError(f"{kept[-1][1]} is damaged ({error}); train into a new folder") from error
+
+
+def _described_before(out: Path, done: int) -> list[tuple[int, Path]]:
+    """Kept descriptors of `done` batches and fewer, by rising number."""
+    numbered = [(int(path.stem.split("-")[1]), path) for path in out.glob("described-*.npy")]
+    return sorted(one for one in numbered if one[0] <= done)
 
 
 def restore_checkpoint(
-    out: Path, model: AdaFusion, optimizer: Any, scheduler: Any, same: Mapping[str, str]
+    out: Path, model: PlaceModel, optimizer: Any, scheduler: Any, same: Mapping[str, str]
 ) -> tuple[int, int, float]:
     """Take training up where the last checkpoint left it: batches, frame passes, best recall.
 

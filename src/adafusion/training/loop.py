@@ -17,7 +17,6 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -27,40 +26,43 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from adafusion.files import fingerprint
-from adafusion.losses import (
-    active_share,
-    contrastive_softmax,
-    cosine_similarity,
-    pair_distance,
-    pair_margin,
+from adafusion.losses import pair_distance
+from adafusion.models import (
+    AdaFusion,
+    PlaceModel,
+    build_system,
+    describe,
+    load_model,
+    prepared_batches,
+    save_model,
+    use_channels_last,
 )
-from adafusion.models import AdaFusion, load_model, save_model, use_channels_last
-from adafusion.models.backbones import add_norms, fold_norms, initialise_he
+from adafusion.models.backbones import add_norms, fold_norms
 from adafusion.preprocess.augment import blank_sensors, color_jitter, jitter_points
 from adafusion.preprocess.cache import PreparedSet
-from adafusion.preprocess.image import to_unit
-from adafusion.training.checkpoint import claim, restore_checkpoint, save_checkpoint
-from adafusion.training.pairs import (
-    Batch,
-    Pairs,
-    epoch_rng,
-    find_pairs,
-    num_pair_batches,
-    num_place_batches,
-    pair_batches,
-    place_batches,
+from adafusion.preprocess.image import from_unit, to_unit
+from adafusion.training.checkpoint import (
+    claim,
+    keep_described,
+    restore_checkpoint,
+    restore_described,
+    save_checkpoint,
 )
-from adafusion.training.settings import Augment, Loss, Sampling, TrainConfig
-from adafusion.types import Description, JobFailed, UserError
+from adafusion.training.objective import batch_loss
+from adafusion.training.pairs import Batch
+from adafusion.training.sampler import Sampler
+from adafusion.training.settings import Augment, Loss, Optimiser, TrainConfig
+from adafusion.types import JobFailed, UserError
 
 log = logging.getLogger(__name__)
 
-Validate = Callable[[AdaFusion], Mapping[str, float]]
+Validate = Callable[[PlaceModel], Mapping[str, float]]
 Points = Callable[[int], Float[np.ndarray, "n 3"]]
 
 MODEL_FILE = "model.safetensors"  # the best on validation or the last, ready to use
 SELECTED_BY = "recall@1"
 BALANCE_BATCHES = 4
+MINING_BATCH = 32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,20 +113,16 @@ def train(
         raise ValueError("augment.jitter_m moves raw points: give `points`")
     out = Path(out)
     claim(out, config, resume)
-    sampler = _Sampler(config.sampling, data, rows, config.seed)
+    sampler = Sampler(config.sampling, data, rows, config.seed)
     batches = config.batches or config.epochs * sampler.batches_per_epoch
 
     if accelerator == "auto":  # an Apple GPU lacks operations on volumes that the network needs
         accelerator = "cuda" if torch.cuda.is_available() else "cpu"
     fabric = Fabric(accelerator=accelerator, devices=1, precision=precision)
     model = build_model(config)
-    if config.balance and not resume:
+    if config.balance and not resume and isinstance(model, AdaFusion):
         balance_branches(model, data, sampler.batches(0, BALANCE_BATCHES), config.loss)
-    optimizer = torch.optim.Adam(
-        [p for p in model.parameters() if p.requires_grad],
-        lr=config.optimiser.learning_rate,
-        weight_decay=config.optimiser.weight_decay,
-    )
+    optimizer = _optimizer(config.optimiser, model)
     scheduler = _scheduler(config, optimizer, batches)
     wrapped, optimizer = fabric.setup(use_channels_last(model), optimizer)
     same = {"data": _data_fingerprint(data, rows), "precision": precision}
@@ -132,7 +130,15 @@ def train(
     if resume:  # after the setup, which moves the model to its device
         done, passes, best = restore_checkpoint(out, model, optimizer, scheduler, same)
         use_channels_last(model)
+        sampler.described = restore_described(out, done)
+    mining = config.sampling.mining
     model.train()
+
+    def mine() -> None:
+        """Describe all rows as the network is now, for the sampler to choose by."""
+        sampler.described = describe(model, prepared_batches(data, rows, MINING_BATCH)).fused
+        assert sampler.described is not None
+        keep_described(out, done, sampler.described)
 
     def evaluate() -> tuple[Mapping[str, float], bool]:
         nonlocal best
@@ -153,6 +159,7 @@ def train(
                     ],
                     "batches": done,
                     "frame_passes": passes,
+                    "mining_passes": len(rows) * (0 if mining is None else mining.times(done)),
                     "validation": dict(values),
                 },
             )
@@ -172,10 +179,12 @@ def train(
             is_best=is_best,
             best=best,
         )
+    if mining is not None and done == 0 and mining.is_due(0):
+        mine()
     for batch in sampler.batches(first=done, count=batches - done):
         start = time.perf_counter()
-        image, voxels = _inputs(model, data, batch, config.augment, points, (config.seed, done))
-        description = wrapped(fabric.to_device(image), fabric.to_device(voxels))
+        image, lidar = _inputs(model, data, batch, config.augment, points, (config.seed, done))
+        description = wrapped(fabric.to_device(image), fabric.to_device(lidar))
         loss, active = batch_loss(description, batch, config.loss)
         optimizer.zero_grad(set_to_none=True)
         fabric.backward(loss)
@@ -188,7 +197,7 @@ def train(
         learning_rate = optimizer.param_groups[0]["lr"]
         optimizer.step()
         done, passes = done + 1, passes + len(batch.rows)
-        if config.optimiser.schedule == "cosine":
+        if config.optimiser.schedule != "plateau":
             scheduler.step()
         seconds = time.perf_counter() - start
 
@@ -198,6 +207,8 @@ def train(
             validation, is_best = evaluate()
             if config.optimiser.schedule == "plateau":
                 scheduler.step(validation[SELECTED_BY])
+        if mining is not None and mining.is_due(done) and done < batches:
+            mine()
         if done % config.checkpoint_every == 0 or validation is not None:
             save_checkpoint(out, model, optimizer, scheduler, done, passes, best, same)
         yield Step(
@@ -214,36 +225,34 @@ def train(
         )
 
 
-def build_model(config: TrainConfig) -> AdaFusion:
+def build_model(config: TrainConfig) -> PlaceModel:
     """Build the network that a training starts from, as a function of the configuration alone."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        model = AdaFusion(config.model)
+        model = build_system(config.model)
     if config.initialisation == "he":
-        generator = torch.Generator().manual_seed(config.seed)
-        for net in model.backbones:
-            initialise_he(net, generator)
+        model.initialise(torch.Generator().manual_seed(config.seed))
     for file in config.init:
         take_branches(model, load_model(file))
     if config.norms:
         for net in model.backbones:
             add_norms(net)
-    if config.stage == "weights":
+    if config.stage == "weights" and isinstance(model, AdaFusion):
         model.freeze_backbones()
     return model
 
 
-def untrained_twin(model: AdaFusion, seed: int = 0) -> AdaFusion:
+def untrained_twin(model: PlaceModel, seed: int = 0) -> PlaceModel:
     """The network that a training of this model would start from: what training has to beat."""
     twin = build_model(TrainConfig(model=model.config, norms=False, seed=seed)).eval()
     twin.name = f"{model.name}, untrained"
     return twin
 
 
-def take_branches(model: AdaFusion, source: AdaFusion) -> None:
+def take_branches(model: PlaceModel, source: PlaceModel) -> None:
     """Copy the branches that `source` has into `model`."""
     for name in ("image_net", "voxel_net"):
-        ours, theirs = getattr(model, name), getattr(source, name)
+        ours, theirs = getattr(model, name, None), getattr(source, name, None)
         if ours is None or theirs is None:
             continue
         try:
@@ -254,7 +263,7 @@ def take_branches(model: AdaFusion, source: AdaFusion) -> None:
             ) from error
 
 
-def folded(model: AdaFusion) -> AdaFusion:
+def folded(model: PlaceModel) -> PlaceModel:
     """Copy a network in training as the paper's network that it computes in eval mode."""
     model = copy.deepcopy(model).eval()
     for net in model.backbones:
@@ -300,102 +309,8 @@ def balance_branches(
         log.info("%s scaled by %.3f to the margin", part, factor)
 
 
-def batch_loss(
-    description: Description, batch: Batch, loss: Loss
-) -> tuple[Float[Tensor, ""], float]:
-    """Loss of a described batch, and the share of its pairs that have not met the fused margin."""
-    assert description.fused is not None
-    parts = [(description.fused, 1.0)]
-    if (
-        loss.half_weight
-        and description.image_half is not None
-        and (description.lidar_half is not None)
-    ):
-        parts += [(description.image_half, loss.half_weight)]
-        parts += [(description.lidar_half, loss.half_weight)]
-
-    pair = torch.from_numpy(batch.pair).to(description.fused.device)
-    is_positive = torch.from_numpy(batch.is_positive).to(description.fused.device)
-    total = description.fused.sum() * 0.0
-    for descriptors, weight in parts:
-        margin, slack = loss.margins(descriptors.shape[1])
-        if loss.kind == "softmax":
-            term = _softmax_term(descriptors, pair, is_positive, loss, margin)
-        else:
-            term = pair_margin(pair_distance(descriptors, pair), is_positive, margin, slack)
-        total = total + weight * term
-    with torch.no_grad():
-        margins = loss.margins(description.fused.shape[1])
-        active = active_share(pair_distance(description.fused, pair), is_positive, *margins)
-    return total, active
-
-
-def _softmax_term(
-    descriptors: Float[Tensor, "b d"],
-    pair: Int[Tensor, "m 2"],
-    is_positive: Tensor,
-    loss: Loss,
-    margin: float,
-) -> Float[Tensor, ""]:
-    if loss.similarity == "cosine":
-        similarity = cosine_similarity(descriptors) / loss.temperature
-    else:
-        distance = (descriptors[:, None] - descriptors[None]).abs().sum(dim=2)
-        similarity = -distance / (loss.temperature * margin)
-    positive, negative = (torch.zeros_like(similarity, dtype=torch.bool) for _ in range(2))
-    for mask, chosen in ((positive, is_positive), (negative, ~is_positive)):
-        a, b = pair[chosen].T
-        mask[a, b] = mask[b, a] = True
-    return contrastive_softmax(similarity, positive, negative)
-
-
-class _Sampler:
-    """The endless order of batches, a function of the seed, entered at any batch."""
-
-    def __init__(
-        self, sampling: Sampling, data: PreparedSet, rows: Int[np.ndarray, " n"], seed: int
-    ) -> None:
-        self.sampling, self.rows, self.seed = sampling, rows, seed
-        self.runs = data.runs[rows]
-        self.pairs: Pairs = find_pairs(
-            data.positions[rows], data.worlds[rows], sampling.d_pos_m, sampling.d_neg_m
-        )
-        if not len(self.pairs.positive):
-            raise UserError(
-                f"no two of the {len(rows)} frames lie within {sampling.d_pos_m:g} m of each "
-                "other: give more runs of the same places, or raise sampling.d_pos_m"
-            )
-        self.batches_per_epoch = (
-            num_pair_batches(self.pairs, sampling.items)
-            if sampling.mode == "pairs"
-            else num_place_batches(self.pairs, sampling.places, sampling.views)
-        )
-        log.info(
-            "%d frames, %d true pairs, %d wrong pairs, %d batches an epoch",
-            len(rows), len(self.pairs.positive), self.pairs.num_negatives, self.batches_per_epoch,
-        )  # fmt: skip
-
-    def batches(self, first: int, count: int) -> Iterator[Batch]:
-        """Yield `count` batches beginning with number `first`; their rows are those of the data."""
-        if count <= 0:
-            return
-        epoch, skip = divmod(first, self.batches_per_epoch)
-        while count > 0:
-            for batch in islice(self._epoch(epoch), skip, skip + count):
-                count -= 1
-                yield Batch(self.rows[batch.rows], batch.pair, batch.is_positive)
-            epoch, skip = epoch + 1, 0
-
-    def _epoch(self, epoch: int) -> Iterator[Batch]:
-        rng = epoch_rng(self.seed, epoch)
-        s = self.sampling
-        if s.mode == "pairs":
-            return pair_batches(self.pairs, s.items, rng)
-        return place_batches(self.pairs, s.places, s.views, rng, run=self.runs)
-
-
 def _inputs(
-    model: AdaFusion,
+    model: PlaceModel,
     data: PreparedSet,
     batch: Batch,
     augment: Augment,
@@ -403,8 +318,8 @@ def _inputs(
     key: tuple[int, int],
 ) -> tuple[Tensor | None, Tensor | None]:
     """The augmented tensors of a batch, only those that the system looks at."""
-    image = voxels = None
-    if model.image_net is not None:
+    image = lidar = None
+    if "image" in model.sensors:
         image = to_unit(data.images_u8(batch.rows))
         if augment.color:
             seed = int(np.random.SeedSequence(key).generate_state(1)[0])
@@ -416,31 +331,49 @@ def _inputs(
                 contrast=c,
                 saturation=c,
             )
-        image = image.contiguous(memory_format=torch.channels_last)
-    if model.voxel_net is not None:
+    if "lidar" in model.sensors:
         if points is not None and augment.jitter_m:
             rng = np.random.default_rng(key)
-            voxels = torch.stack(
+            clouds = (points(int(row)) for row in batch.rows)
+            lidar = torch.stack(
                 [
-                    data.settings.voxel_tensor(
-                        jitter_points(
-                            points(int(row)), rng, augment.jitter_m, augment.jitter_clip_m
-                        )
+                    data.settings.lidar_tensor(
+                        jitter_points(cloud, rng, augment.jitter_m, augment.jitter_clip_m)
                     )
-                    for row in batch.rows
+                    for cloud in clouds
                 ]
             )
         else:
-            voxels = data.voxels(batch.rows)
-        voxels = voxels.contiguous(memory_format=torch.channels_last_3d)
-    if image is not None and voxels is not None and augment.blank:
-        blank_sensors(image, voxels, augment.blank, np.random.default_rng((*key, 1)))
-    return image, voxels
+            lidar = data.lidar(batch.rows)
+        if lidar.ndim == 5:
+            lidar = lidar.contiguous(memory_format=torch.channels_last_3d)
+    if image is not None and lidar is not None and augment.blank:
+        blank_sensors(image, lidar, augment.blank, np.random.default_rng((*key, 1)))
+    if image is not None:
+        image = from_unit(image, data.settings.image)
+        image = image.contiguous(memory_format=torch.channels_last)
+    return image, lidar
 
 
 def _data_fingerprint(data: PreparedSet, rows: Int[np.ndarray, " n"]) -> str:
     """Identity of the frames trained on, in their order."""
     return fingerprint(*(part.folder.name for part in data.parts), rows.tobytes())
+
+
+def _optimizer(settings: Optimiser, model: PlaceModel) -> torch.optim.Optimizer:
+    """What moves the parameters that may move; the image network's at a rate of its own."""
+    learns = [(name, p) for name, p in model.named_parameters() if p.requires_grad]
+    image = [p for name, p in learns if name.startswith("image_net.")]
+    rest = [p for name, p in learns if not name.startswith("image_net.")]
+    rate = settings.learning_rate
+    groups: list[dict[str, Any]] = [{"params": [p for _, p in learns], "lr": rate}]
+    if settings.image_share != 1.0 and image:
+        groups = [{"params": image, "lr": settings.image_share * rate}]
+        groups += [{"params": rest, "lr": rate}] if rest else []
+    decay = settings.weight_decay
+    if settings.kind == "sgd":
+        return torch.optim.SGD(groups, momentum=settings.momentum, weight_decay=decay)
+    return torch.optim.Adam(groups, weight_decay=decay, amsgrad=settings.amsgrad)
 
 
 def _scheduler(config: TrainConfig, optimizer: torch.optim.Optimizer, batches: int) -> Any:
@@ -451,6 +384,8 @@ def _scheduler(config: TrainConfig, optimizer: torch.optim.Optimizer, batches: i
         )
 
     def share(batch: int) -> float:
+        if o.schedule == "step":
+            return max(o.floor, o.factor ** (batch * o.steps // batches))
         rise = min(1.0, (batch + 1) / max(1, o.warmup))
         return rise * 0.5 * (1.0 + math.cos(math.pi * min(1.0, batch / batches)))
 

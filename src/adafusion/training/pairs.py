@@ -39,12 +39,23 @@ class Pairs:
 
 
 @dataclass(frozen=True, slots=True)
+class Tuples:
+    """Indices into a batch's rows: each query, its true matches, wrong ones, and one more frame."""
+
+    query: Int64[np.ndarray, " t"]
+    positive: Int64[np.ndarray, "t p"]
+    negative: Int64[np.ndarray, "t n"]
+    other: Int64[np.ndarray, " t"]  # far from the query and from every wrong match
+
+
+@dataclass(frozen=True, slots=True)
 class Batch:
     """Frames to describe together, and which of their pairs the loss looks at."""
 
     rows: Int64[np.ndarray, " b"]  # frames
     pair: Int64[np.ndarray, "m 2"]  # indices into `rows`
     is_positive: Bool[np.ndarray, " m"]
+    tuples: Tuples | None = None  # of losses that compare a query's matches with each other
 
 
 def find_pairs(
@@ -89,12 +100,12 @@ def sample_negatives(
     n = len(pairs.positions)
     negatives = rng.integers(n, size=len(anchors))
     for _ in range(DRAWS):
-        again = np.flatnonzero(~_is_far(pairs, anchors, negatives))
+        again = np.flatnonzero(~is_far(pairs, anchors, negatives))
         if not len(again):
             return negatives
         negatives[again] = rng.integers(n, size=len(again))
-    for i in np.flatnonzero(~_is_far(pairs, anchors, negatives)):
-        far = np.flatnonzero(_is_far(pairs, anchors[i], np.arange(n)))
+    for i in np.flatnonzero(~is_far(pairs, anchors, negatives)):
+        far = np.flatnonzero(is_far(pairs, anchors[i], np.arange(n)))
         if not len(far):
             raise UserError(
                 f"frame {anchors[i]} has no frame farther than {pairs.d_neg_m:g} m to be its wrong "
@@ -166,7 +177,7 @@ def place_batches(
         raise ValueError(f"need at least 2 places and 2 views, not {places} and {views}")
     n = len(pairs.positions)
     run = np.zeros(n, np.int64) if run is None else run
-    first, matches = _match_lists(pairs)
+    first, matches = match_lists(pairs)
     order = rng.permutation(np.flatnonzero(np.diff(first)))
     shown = np.zeros(n, np.bool_)
     for _ in range(num_place_batches(pairs, places, views)):
@@ -190,7 +201,7 @@ def place_batches(
         )
 
 
-def _match_lists(pairs: Pairs) -> tuple[Int64[np.ndarray, " offsets"], Int64[np.ndarray, " both"]]:
+def match_lists(pairs: Pairs) -> tuple[Int64[np.ndarray, " offsets"], Int64[np.ndarray, " both"]]:
     """True matches of frame i: matches[first[i]:first[i + 1]]."""
     one, other = np.concatenate([pairs.positive, pairs.positive[:, ::-1]]).astype(np.int64).T
     first = np.searchsorted(np.sort(one), np.arange(len(pairs.positions) + 1))
@@ -238,7 +249,7 @@ def _gap_squared(
     return np.where(pairs.world[a] == pairs.world[b], squared, np.inf)
 
 
-def _is_far(
+def is_far(
     pairs: Pairs, a: Int[np.ndarray, " m"] | np.integer, b: Int[np.ndarray, " m"]
 ) -> Bool[np.ndarray, " m"]:
     """Whether frames a and b are a wrong match."""

@@ -9,9 +9,37 @@ from pathlib import Path
 from typing import Literal
 
 from adafusion.models import ModelConfig
-from adafusion.models.adafusion import System
+from adafusion.models.config import System
 
+STAGED = ("adafusion", "concat", "image", "lidar")  # systems whose branches can be trained alone
 PAPER_LENGTH = 256  # numbers in the descriptor that the released margins were chosen for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mining:
+    """Wrong matches that the network finds hard, by descriptors of all frames taken now and then.
+
+    Mode `tuples`: of `candidates` frames far from a query the `hardest` nearest ones in descriptor
+    space, then others by chance. Mode `pairs`: of `candidates` wrong pairs the `hardest` nearest
+    ones join every batch. What describing costs is counted apart from training's frame passes.
+    """
+
+    after: int = 0  # batches before the first
+    every: int = 700  # batches
+    candidates: int = 4000
+    hardest: int = 10
+
+    def __post_init__(self) -> None:
+        if self.after < 0 or min(self.every, self.hardest) < 1 or self.candidates < self.hardest:
+            raise ValueError("mining: after >= 0, every >= 1 and 1 <= hardest <= candidates")
+
+    def is_due(self, done: int) -> bool:
+        """Whether all frames are described anew after so many batches."""
+        return done >= self.after and (done - self.after) % self.every == 0
+
+    def times(self, done: int) -> int:
+        """How often that has happened, before the batch that follows."""
+        return 0 if done < self.after else 1 + (done - self.after) // self.every
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,68 +47,116 @@ class Sampling:
     """Which frames meet in a batch.
 
     `pairs` is the paper's: `items` true pairs, each with one wrong pair. `batch` shows `places`
-    places in `views` frames each and lets every pair inside the batch count.
+    places in `views` frames each and lets every pair inside the batch count. `tuples` shows as many
+    queries, each with `positives` true and `negatives` wrong matches and one frame far from all.
     """
 
-    mode: Literal["pairs", "batch"] = "batch"
+    mode: Literal["pairs", "batch", "tuples"] = "batch"
     items: int = 16
     places: int = 16
     views: int = 2
+    tuples: int = 2
+    positives: int = 2
+    negatives: int = 18
+    mining: Mining | None = None  # None: all by chance
     d_pos_m: float = 10.0
     d_neg_m: float = 50.0
 
     def __post_init__(self) -> None:
         if self.items < 1 or self.places < 2 or self.views < 2:
             raise ValueError("a batch needs at least 1 item, or 2 places in 2 views")
+        if min(self.tuples, self.positives, self.negatives) < 1:
+            raise ValueError("a tuple needs at least 1 true and 1 wrong match")
+        if self.mining is not None and self.mode == "batch":
+            raise ValueError("mining: mode batch finds its hard matches within the batch")
         if not 0 < self.d_pos_m <= self.d_neg_m:
             raise ValueError(f"need 0 < d_pos_m <= d_neg_m, not {self.d_pos_m} and {self.d_neg_m}")
 
 
+# losses that look at whole tuples, and those that look at whole batches
+TUPLE_LOSSES = ("triplet", "lazy-triplet", "lazy-quadruplet", "hard-quadruplet")
+LossKind = Literal[
+    "margin",
+    "softmax",
+    "contrastive",
+    "batch-hard",
+    "triplet",
+    "lazy-triplet",
+    "lazy-quadruplet",
+    "hard-quadruplet",
+]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Loss:
-    """The paper's pair margin loss, or a contrastive softmax; perhaps on each half as well.
+    """What true and wrong matches do to the network; perhaps to each half as well.
 
-    `margin` and `slack` are meant for a descriptor of 256 numbers and scale with its length, since
-    an L1 distance does.
+    `margin` is the paper's pair margin loss on L1 distances; its `margin` and `slack` are meant for
+    a descriptor of 256 numbers and scale with its length, since an L1 distance does. `softmax` is
+    the easier loss to begin with. The others are those of the compared systems, on L2 distances of
+    descriptors whose length is given (`margin`, and `other_margin` of the quadruplets, are taken as
+    they are): `contrastive`, `batch-hard` (MinkLoc++), `triplet` (NetVLAD), `lazy-triplet` and
+    `lazy-quadruplet` (PointNetVLAD), `hard-quadruplet` (CORAL).
     """
 
-    kind: Literal["margin", "softmax"] = "softmax"
+    kind: LossKind = "softmax"
     margin: float = 25.0
     slack: float = 1.0
+    other_margin: float = 0.2
     similarity: Literal["cosine", "l1"] = "cosine"  # what the softmax compares
     temperature: float = 0.1  # of the softmax: in cosine, or for l1 as a share of the margin
     half_weight: float = 0.0  # weight of the same loss on each sensor's half alone
+    lidar_half_weight: float | None = None  # where the LiDAR's half has another weight
 
     def __post_init__(self) -> None:
-        if not 0 <= self.slack < self.margin:
-            raise ValueError(f"need 0 <= slack < margin, not {self.slack} and {self.margin}")
-        if self.temperature <= 0 or self.half_weight < 0:
-            raise ValueError("temperature must be positive and half_weight not negative")
+        if not self.margin > 0 or self.slack < 0 or self.other_margin < 0:
+            raise ValueError("margin must be positive, slack and other_margin not negative")
+        if self.kind == "margin" and self.slack >= self.margin:
+            raise ValueError(f"need slack < margin, not {self.slack} and {self.margin}")
+        if self.temperature <= 0 or min(self.half_weight, self.lidar_half_weight or 0.0) < 0:
+            raise ValueError("temperature must be positive and half weights not negative")
 
     def margins(self, length: int) -> tuple[float, float]:
-        """Margin and slack for a descriptor of `length` numbers."""
+        """Margin and slack of the pair margin loss for a descriptor of `length` numbers."""
         share = length / PAPER_LENGTH
         return self.margin * share, self.slack * share
+
+    @property
+    def half_weights(self) -> tuple[float, float]:
+        """Weights of the loss on the image's half and on the LiDAR's."""
+        lidar = self.half_weight if self.lidar_half_weight is None else self.lidar_half_weight
+        return self.half_weight, lidar
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optimiser:
-    """Adam, and how its rate falls.
+    """Adam or stochastic gradient descent, and how the rate falls.
 
     `plateau` multiplies the rate by `factor` after `patience` evaluations without a better
-    validation recall@1 (the paper's); `cosine` rises for `warmup` batches, then falls to zero.
+    validation recall@1 (the paper's); `cosine` rises for `warmup` batches, then falls to zero;
+    `step` cuts the training in `steps` equal parts and multiplies the rate by `factor` between
+    them, down to a share of `floor`. `image_share` scales the rate of the image network, which may
+    come trained.
     """
 
+    kind: Literal["adam", "sgd"] = "adam"
     learning_rate: float = 8e-4
     weight_decay: float = 0.0
-    schedule: Literal["plateau", "cosine"] = "plateau"
+    amsgrad: bool = False
+    momentum: float = 0.9  # of sgd
+    schedule: Literal["plateau", "cosine", "step"] = "plateau"
     factor: float = 0.9
     patience: int = 20
     warmup: int = 200
+    steps: int = 2
+    floor: float = 0.0
+    image_share: float = 1.0
 
     def __post_init__(self) -> None:
         if self.learning_rate <= 0 or self.weight_decay < 0 or not 0 < self.factor < 1:
             raise ValueError("need learning_rate > 0, weight_decay >= 0 and 0 < factor < 1")
+        if self.steps < 1 or not 0 <= self.floor <= 1 or self.image_share <= 0:
+            raise ValueError("need steps >= 1, floor in [0, 1] and image_share > 0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +204,10 @@ class TrainConfig:
     joint_rate: float = 0.15  # learning rate of the staged branches together, as a share
 
     def __post_init__(self) -> None:
+        if (self.loss.kind in TUPLE_LOSSES) != (self.sampling.mode == "tuples"):
+            raise ValueError(f"loss {self.loss.kind} does not fit sampling {self.sampling.mode}")
+        if self.loss.kind == "batch-hard" and self.sampling.mode != "batch":
+            raise ValueError("loss batch-hard looks at whole batches: set sampling.mode=batch")
         if self.stage == "weights" and self.model.system != "adafusion":
             raise ValueError(f"stage weights: {self.model.system} has no weight branch")
         if self.stage == "weights" and not self.init and self.schedule == "joint":
@@ -151,10 +231,10 @@ class Phase:
 def phases(config: TrainConfig, out: Path) -> list[Phase]:
     """Unfold the schedule: `joint` is one phase; `staged` is three, the last from the first two.
 
-    Where the branches come from `init` there is nothing to stage, and a system of one branch is
-    that branch alone.
+    Where the branches come from `init`, and in the compared systems, there is nothing to stage; a
+    system of one branch is that branch alone.
     """
-    if config.schedule == "joint" or config.init:
+    if config.schedule == "joint" or config.init or config.model.system not in STAGED:
         return [Phase(config.model.system, config, out)]
     if config.model.system in ("image", "lidar"):
         return [Phase(config.model.system, _branch(config, config.model.system), out)]

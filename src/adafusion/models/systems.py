@@ -1,0 +1,21 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every system by name, and the one way to build any of them."""
+
+from __future__ import annotations
+
+from adafusion.models.adafusion import AdaFusion
+from adafusion.models.base import PlaceModel
+from adafusion.models.config import ModelConfig
+
+SYSTEMS: dict[str, type[PlaceModel]] = {
+    "adafusion": AdaFusion,
+    "concat": AdaFusion,
+    "image": AdaFusion,
+    "lidar": AdaFusion,
+}
+
+
+def build_system(config: ModelConfig, name: str = "") -> PlaceModel:
+    """Build the network of `config.system`; its weights come from torch's random state."""
+    return SYSTEMS[config.system](config, name)
