@@ -71,7 +71,7 @@ def _hardest(
     pool: Int[np.ndarray, "t c"],
     negatives: int,
     hardest: int,
-    descriptors: Float[np.ndarray, "n d"] | None,
+    descriptors: Float[np.ndarray, "frames d"] | None,
 ) -> Int64[np.ndarray, "t n"]:
     """The nearest of each query's candidates, then the first drawn of the rest."""
     if descriptors is None or hardest == 0:
