@@ -76,8 +76,8 @@ def l2_distances(descriptors: Float[Tensor, "b d"]) -> Float[Tensor, "b b"]:
     return torch.where(squared > 0, squared, 1.0).sqrt() * (squared > 0)
 
 
-def squared_l2(a: Float[Tensor, "*b d"], b: Float[Tensor, "*b d"]) -> Float[Tensor, ...]:
-    """Squared L2 distance along the last axis."""
+def squared_l2(a: Float[Tensor, "*a d"], b: Float[Tensor, "*b d"]) -> Float[Tensor, ...]:
+    """Squared L2 distance along the last axis; the others are broadcast."""
     return (a - b).square().sum(dim=-1)
 
 
