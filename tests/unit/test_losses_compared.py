@@ -47,7 +47,7 @@ def test_the_ranking_triplet_averages_over_all_wrong_matches() -> None:
 
 def test_batch_hard_equals_a_plain_loop() -> None:
     torch.manual_seed(0)
-    d = torch.randn(12, 5).requires_grad_()
+    d = torch.randn(12, 5)
     place = torch.arange(12) // 3
     positive = (place[:, None] == place) & ~torch.eye(12, dtype=torch.bool)
     negative = (place[:, None] - place).abs() > 1
