@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -37,6 +38,10 @@ def read_numbers(
     `delimiter` None is any white space. Microseconds since the epoch are exact in float64 below
     2^53. UserError names file and line.
     """
+    table = _read_plain(path, delimiter, skip_lines)
+    plain = table is not None and columns in (None, table.shape[1])
+    if table is not None and plain and (allow_nan or np.isfinite(table).all()):
+        return table
     rows: list[list[float]] = []
     for number, line in enumerate(read_text(path, remedy).splitlines(), start=1):
         if number <= skip_lines or not line.strip() or line.lstrip().startswith("#"):
@@ -52,6 +57,22 @@ def read_numbers(
             )
         rows.append(row)
     return np.array(rows, dtype=np.float64).reshape(len(rows), columns or 0)
+
+
+def _read_plain(
+    path: str | Path, delimiter: str | None, skip_lines: int
+) -> Float64[np.ndarray, "rows columns"] | None:
+    """A table without a fault or a comment, many times faster; None where it has either."""
+    try:
+        with (
+            Path(path).open(encoding="utf-8-sig") as file,
+            warnings.catch_warnings(action="error", category=UserWarning),  # of a file without rows
+        ):
+            return np.loadtxt(
+                file, delimiter=delimiter, skiprows=skip_lines, comments=None, ndmin=2
+            )
+    except (ValueError, OSError, UserWarning):
+        return None
 
 
 def read_records(
