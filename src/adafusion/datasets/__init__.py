@@ -4,22 +4,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from adafusion.datasets.kitti_odometry import prepare_kitti_odometry
 from adafusion.datasets.native import Dataset, DatasetInfo, open_dataset
 from adafusion.datasets.sensor_files import read_cloud, read_image, write_observation
 from adafusion.datasets.writer import DatasetWriter
 
-READERS: dict[str, Callable[..., Dataset]] = {"kitti-odometry": prepare_kitti_odometry}
-
 __all__ = [
-    "READERS",
     "Dataset",
     "DatasetInfo",
     "DatasetWriter",
     "open_dataset",
-    "prepare_kitti_odometry",
     "read_cloud",
     "read_image",
     "write_observation",

@@ -52,9 +52,8 @@ def read_numbers(
             row = []
         columns = columns or len(row)
         if len(row) != columns or not row or not (allow_nan or np.isfinite(row).all()):
-            raise UserError(
-                f"{path}: line {number} is not {columns or ''} finite numbers: {remedy}"
-            )
+            wanted = f"{columns} finite" if columns else "finite"
+            raise UserError(f"{path}: line {number} is not {wanted} numbers: {remedy}")
         rows.append(row)
     return np.array(rows, dtype=np.float64).reshape(len(rows), columns or 0)
 
@@ -87,6 +86,8 @@ def read_records(
     header = [word.strip() for word in lines[0].split(",")] if lines else []
     if lacking := [name for name in columns if name not in header]:
         raise UserError(f"{path} has no column {', '.join(lacking)}: {remedy}")
+    if twice := [name for name in header if name and header.count(name) > 1]:
+        raise UserError(f"{path} has two columns {twice[0]}: {remedy}")
     for number, line in enumerate(lines[1:], start=2):
         if not line.strip():
             continue
@@ -101,6 +102,6 @@ def read_records(
 def path_inside(root: str | Path, name: str, named_by: str | Path) -> Path:
     """`root / name`; UserError where a name that a table gives leads out of `root`."""
     parts = Path(name).parts
-    if not parts or Path(name).is_absolute() or ".." in parts or "\\" in name or "\0" in name:
+    if not parts or Path(name).anchor or ".." in parts or "\\" in name or "\0" in name:
         raise UserError(f"{named_by} names {name!r}, which is no file below {root}: mend the table")
     return Path(root) / name
