@@ -25,8 +25,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adafusion.datasets import Written, prepare
+from adafusion.datasets.recording import Written
 from adafusion.files import write_text
+from adafusion.readers import prepare
 
 POINTS = 4000
 RUN = "2012-01-08"
@@ -67,7 +68,9 @@ def measure(scans: int, workers: int, scratch: Path) -> Row:
     src = make_recording(scratch / f"src-{scans}-{workers}", scans)
     context = multiprocessing.get_context("spawn")
     with context.Pool(1, maxtasksperchild=1) as pool:
-        written, peak, worker = pool.apply(_prepare, (src, scratch / f"out-{scans}-{workers}", workers))
+        written, peak, worker = pool.apply(
+            _prepare, (src, scratch / f"out-{scans}-{workers}", workers)
+        )
     return Row(scans, workers, *written, peak, worker)
 
 
@@ -101,9 +104,9 @@ def main() -> None:
         f"{os.cpu_count()} cores, Python {platform.python_version()}, "
         f"load average {os.getloadavg()[0]:.1f}, {time.perf_counter() - start:.0f} s in all.",
         "",
-        f"Runs in NCLT's raw layout without pictures, {POINTS:,} points a scan. Peak resident memory "
-        "of the leading process (all of Python, tables of times and poses, the list of frames) and "
-        "of its largest worker.",
+        f"Runs in NCLT's raw layout without pictures, {POINTS:,} points a scan. Peak resident "
+        "memory of the leading process (all of Python, tables of times and poses, the list of "
+        "frames) and of its largest worker.",
         "",
         "| scans | processes | frames/s | share of decoding | leader, MB | worker, MB |",
         "|---|---|---|---|---|---|",

@@ -12,9 +12,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from adafusion.datasets import Dataset
-from adafusion.datasets.nclt import read
 from adafusion.datasets.recording import write_recording
 from adafusion.geometry import pose, transform
+from adafusion.readers.nclt.reader import read
 from adafusion.sim.exports import export
 from adafusion.sim.exports.nclt import ladybug, velodyne
 from adafusion.sim.exports.pictures import shrinkage

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from adafusion.datasets.native import Dataset
-from adafusion.datasets.pointnetvlad import read, read_submap, recognises
 from adafusion.datasets.recording import write_recording
 from adafusion.preprocess import Preprocess, VoxelGrid
+from adafusion.readers.pointnetvlad import read, read_submap, recognises
 from adafusion.sim.exports import export
 from adafusion.sim.exports.pointnetvlad import encode_points, make_submap
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve, map_coordinates
 
-from adafusion.datasets import robotcar
 from adafusion.datasets.native import Dataset
 from adafusion.datasets.recording import write_recording
 from adafusion.geometry import invert, transform
+from adafusion.readers import robotcar
 from adafusion.sim.exports import export
 from adafusion.sim.exports.pictures import shrinkage, undistortion
 from adafusion.sim.exports.pushbroom import LMS_FRONT, Sweep, lift, mounting

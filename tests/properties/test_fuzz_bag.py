@@ -14,9 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from adafusion.datasets.bag import list_topics, read, recognises
-from adafusion.datasets.calibration import Calibration, read_calibration
-from adafusion.datasets.ros_messages import (
+from adafusion.readers.bag.messages import (
     CAMERA_INFO,
     CLOUD,
     COMPRESSED,
@@ -31,7 +29,9 @@ from adafusion.datasets.ros_messages import (
     decode_transforms,
     header,
 )
-from adafusion.datasets.ros_sensors import decode_cloud, decode_picture, encoded_suffix
+from adafusion.readers.bag.reader import list_topics, read, recognises
+from adafusion.readers.bag.sensors import decode_cloud, decode_picture, encoded_suffix
+from adafusion.readers.calibration import Calibration, read_calibration
 from adafusion.types import UserError
 
 pytest.importorskip("rosbags", reason="adafusion[data]")

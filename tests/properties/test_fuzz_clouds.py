@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adafusion.datasets.clouds import CLOUD_SUFFIXES, read_points
+from adafusion.readers.clouds import CLOUD_SUFFIXES, read_points
 from adafusion.types import UserError
 
 POINTS = np.arange(60, dtype=np.float32).reshape(20, 3) - 25.0

@@ -14,9 +14,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adafusion.datasets import boreas, kitti_odometry, kitti_raw, mulran, nuscenes
-from adafusion.datasets.drives import measure_height, read_points
-from adafusion.datasets.nuscenes_tables import read_table
+from adafusion.readers import boreas, kitti_odometry, kitti_raw, mulran, nuscenes
+from adafusion.readers.ground import measure_height
+from adafusion.readers.nuscenes.tables import read_table
+from adafusion.readers.sensors import read_points
 from adafusion.types import UserError
 
 few = settings(max_examples=80, deadline=None)

@@ -15,10 +15,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from adafusion.datasets.nclt import read
-from adafusion.datasets.nclt_camera import read_lens, read_picture, read_u2d
-from adafusion.datasets.nclt_poses import read_ins, read_truth, track_around
-from adafusion.datasets.nclt_velodyne import TURN_EDGES_US, find_turn, read_scan, read_turn
+from adafusion.readers.nclt.camera import read_lens, read_picture, read_u2d
+from adafusion.readers.nclt.poses import read_ins, read_truth, track_around
+from adafusion.readers.nclt.reader import read
+from adafusion.readers.nclt.velodyne import TURN_EDGES_US, find_turn, read_scan, read_turn
 from adafusion.types import UserError
 
 FEW = settings(

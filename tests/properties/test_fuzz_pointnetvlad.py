@@ -17,16 +17,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from adafusion.datasets.benchmark_lists import (
+from adafusion.readers.benchmark_lists import (
     read_evaluation_sets,
     read_image_index,
     read_training_queries,
 )
-from adafusion.datasets.opr import read as read_opr
-from adafusion.datasets.opr import read_nclt_cloud
-from adafusion.datasets.pickles import load_pickle
-from adafusion.datasets.pointnetvlad import read as read_benchmark
-from adafusion.datasets.pointnetvlad import read_picture, read_submap
+from adafusion.readers.opr import read as read_opr
+from adafusion.readers.opr import read_nclt_cloud
+from adafusion.readers.pickles import load_pickle
+from adafusion.readers.pointnetvlad import read as read_benchmark
+from adafusion.readers.pointnetvlad import read_picture, read_submap
 from adafusion.types import UserError
 
 fuzzed = settings(

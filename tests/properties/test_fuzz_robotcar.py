@@ -14,15 +14,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from adafusion.datasets import robotcar
-from adafusion.datasets.robotcar_files import (
+from adafusion.geometry import is_rigid
+from adafusion.readers import robotcar
+from adafusion.readers.robotcar.files import (
     read_extrinsics,
     read_model,
     read_picture,
     read_poses,
     read_scan,
 )
-from adafusion.geometry import is_rigid
 from adafusion.types import UserError
 
 POSES = (

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from adafusion.datasets import Dataset
-from adafusion.datasets.readers import prepare
 from adafusion.doctor import examine
 from adafusion.doctor.page import render
+from adafusion.readers import prepare
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ LAYERS: list[set[str]] = [
     {"training", "evaluation", "report"},
     {"mapping"},
     {"models", "losses", "sim"},
-    {"preprocess", "search"},
+    {"preprocess", "search", "readers"},
     {"datasets"},
     {"geometry", "config", "provenance"},
     {"files", "workers"},

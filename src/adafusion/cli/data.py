@@ -167,11 +167,11 @@ def prepare(
     Example: adafusion prepare nclt ~/nclt data/nclt --every-m 10 --workers 8
     Example: adafusion prepare drive.mcap data/drive --lidar-height-m 1.2
     """
-    from adafusion.datasets.readers import prepare as run
     from adafusion.datasets.recording import SKIPPED_FILE
+    from adafusion.readers import prepare as run
 
     if list_topics:
-        from adafusion.datasets.bag import describe_topics
+        from adafusion.readers.bag.reader import describe_topics
 
         print(describe_topics(paths[-1]))
         return

@@ -260,7 +260,7 @@ def _read_query(
     import numpy as np
 
     from adafusion.datasets import read_cloud, read_image
-    from adafusion.datasets.clouds import read_points
+    from adafusion.readers.clouds import read_points
     from adafusion.types import UserError
 
     in_sensor_frame = cloud is not None and cloud.suffix.lower() != ".npy"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""Datasets: our own form on disk, and one module for each foreign format that is read into it."""
+"""Datasets: our own form on disk, its regions, and the loop that recordings are written by."""
 
 from __future__ import annotations
 

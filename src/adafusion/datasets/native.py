@@ -163,7 +163,7 @@ def _read_info(root: Path) -> tuple[DatasetInfo, dict[str, int]]:
         raise UserError(f"{path} is missing: give the folder of a prepared or simulated dataset")
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise UserError(f"{path} is no YAML ({error}): prepare the dataset again") from error
     if not isinstance(values, dict) or "schema_version" not in values:
         raise UserError(f"{path} has no schema_version: prepare the dataset again")
