@@ -11,8 +11,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from adafusion.datasets import open_dataset
     from adafusion.mapping import Answer, Localizer, Place, PlaceMap
     from adafusion.models import AdaFusion, ModelConfig, load_model
+    from adafusion.readers import prepare
     from adafusion.types import Description, Frame, Observation, UserError
 
 __version__ = "0.1.0"
@@ -29,12 +31,16 @@ __all__ = [
     "PlaceMap",
     "UserError",
     "load_model",
+    "open_dataset",
+    "prepare",
 ]
 
 # Imported on first use: `adafusion --help` shall not wait for torch.
 _HOMES = {
+    "datasets": ("open_dataset",),
     "mapping": ("Answer", "Localizer", "Place", "PlaceMap"),
     "models": ("AdaFusion", "ModelConfig", "load_model"),
+    "readers": ("prepare",),
     "types": ("Description", "Frame", "Observation", "UserError"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

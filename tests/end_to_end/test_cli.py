@@ -23,6 +23,8 @@ COMMANDS = [
     ["demo"],
     ["simulate"],
     ["prepare"],
+    ["split"],
+    ["doctor"],
     ["train"],
     ["evaluate"],
     ["map", "build"],

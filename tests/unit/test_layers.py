@@ -13,10 +13,11 @@ ROOT = Path(adafusion.__file__).parent
 # A module may import from its own part and from the layers below; parts of one layer are siblings.
 LAYERS: list[set[str]] = [
     {"cli"},
+    {"doctor"},
     {"training", "evaluation", "report"},
     {"mapping"},
     {"models", "losses", "sim"},
-    {"preprocess", "search"},
+    {"preprocess", "search", "readers"},
     {"datasets"},
     {"geometry", "config", "provenance"},
     {"files", "workers"},

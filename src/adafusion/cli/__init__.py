@@ -13,7 +13,7 @@ import sys
 
 import typer
 
-from adafusion.cli import data, demo, evaluation, mapping, model, training, world
+from adafusion.cli import data, demo, doctor, evaluation, mapping, model, split, training, world
 
 app = typer.Typer(
     name="adafusion",
@@ -26,6 +26,8 @@ app = typer.Typer(
 app.command("demo")(demo.demo)
 app.command("simulate")(data.simulate)
 app.command("prepare")(data.prepare)
+app.command("split")(split.split)
+app.command("doctor")(doctor.doctor)
 app.command("train")(training.train)
 app.command("evaluate")(evaluation.evaluate)
 app.add_typer(mapping.app, name="map")

@@ -60,8 +60,7 @@ def simulate(
     Example: adafusion simulate data/world-7 --seed 7 --runs day,dusk,night-reverse,fog
     Example: adafusion simulate data/haze --runs day,day-2 --set day-2.fog_per_m=0.02
     """
-    from adafusion.datasets.splits import region_of
-    from adafusion.sim.regions import GUARD
+    from adafusion.datasets.splits import GUARD, region_of
     from adafusion.sim.simulate import simulate as run
 
     dataset = run(
@@ -103,22 +102,113 @@ def _changed_runs(
 
 
 def prepare(
-    kind: Annotated[str, typer.Argument(help="Format of SRC: kitti-odometry.")],
-    src: Annotated[Path, typer.Argument(help="Folder as the dataset's site gave it.")],
-    out: Annotated[Path, typer.Argument(help="Folder of the new dataset; must not exist.")],
-    sequences: Annotated[
-        str | None, typer.Option(help="Which, by comma; default: all that have files and poses.")
+    paths: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="[KIND] SRC OUT",
+            help="Format of SRC, guessed where that is clear; the data as their source gave them; "
+            "folder of the new dataset, which must not exist.",
+        ),
+    ],
+    runs: Annotated[
+        str | None,
+        typer.Option(
+            help="Which runs (dates, drives, sequences, scenes, bags), by comma; default: all, of "
+            "robotcar and nclt those of the paper."
+        ),
     ] = None,
+    every_m: Annotated[
+        float | None,
+        typer.Option(help="A frame every so many metres of travel; 0: every one.", min=0),
+    ] = None,
+    camera: Annotated[
+        str | None, typer.Option(help="Which camera: stereo/centre, Cam5, image_02, CAM_FRONT ...")
+    ] = None,
+    lidar: Annotated[
+        str | None, typer.Option(help="Which LiDAR or scans: lms_front, velodyne_hits, Ouster ...")
+    ] = None,
+    slop_ms: Annotated[
+        float | None, typer.Option(help="Image and cloud are at most so far apart.", min=0)
+    ] = None,
+    poses: Annotated[
+        str | None, typer.Option(help="File of poses (folder, bag), or which: rtk, ins (robotcar).")
+    ] = None,
+    images: Annotated[
+        Path | None, typer.Option(help="Folder of the images that join submaps (pointnetvlad).")
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="File or folder of intrinsics and extrinsics, where SRC has none."),
+    ] = None,
+    lidar_height_m: Annotated[
+        float | None, typer.Option(help="Of the LiDAR above the ground, where nothing says it.")
+    ] = None,
+    image_topic: Annotated[str | None, typer.Option(help="bag: topic of the images.")] = None,
+    cloud_topic: Annotated[str | None, typer.Option(help="bag: topic of the clouds.")] = None,
+    pose_topic: Annotated[str | None, typer.Option(help="bag: topic of the poses.")] = None,
+    list_topics: Annotated[
+        bool, typer.Option("--list", help="bag: list the topics of SRC and stop.")
+    ] = False,
+    skip_bad: Annotated[
+        bool, typer.Option("--skip-bad", help="Leave damaged frames out and list them.")
+    ] = False,
+    workers: Annotated[int, typer.Option(help="Processes that decode.", min=1)] = WORKERS,
 ) -> None:
     """Turn recorded data into the package's own form, checking every file on the way.
 
-    \b
-    Example: adafusion prepare kitti-odometry ~/kitti/dataset data/kitti-04 --sequences 04
-    """
-    from adafusion.datasets import READERS
+    Kinds: robotcar, pointnetvlad, nclt, opr, kitti-odometry, kitti-raw, boreas, mulran, helipr,
+    nuscenes, bag (ROS 1, ROS 2, mcap; no ROS needed), folder (images + clouds + poses). Each takes
+    those of the options that mean something to it and names them if it is given another. A killed
+    job goes on where it was when the same command is given again. Look at the result with
+    `adafusion doctor OUT`.
 
-    if kind not in READERS:
-        raise UserError(f"unknown format {kind!r}: choose from {', '.join(READERS)}")
-    chosen = None if sequences is None else split_names(sequences)
-    dataset = READERS[kind](src, out, sequences=chosen, progress=bar)
+    \b
+    Example: adafusion prepare ~/kitti/dataset data/kitti-04 --runs 04
+    Example: adafusion prepare nclt ~/nclt data/nclt --every-m 10 --workers 8
+    Example: adafusion prepare drive.mcap data/drive --lidar-height-m 1.2
+    """
+    from adafusion.datasets.recording import SKIPPED_FILE
+    from adafusion.readers import prepare as run
+
+    if list_topics:
+        from adafusion.readers.bag.reader import describe_topics
+
+        print(describe_topics(paths[-1]))
+        return
+    if len(paths) not in (2, 3):
+        raise UserError("give [KIND] SRC OUT: the data, and the folder of the new dataset")
+    *kind, src, out = paths
+    given = {
+        "runs": None if runs is None else split_names(runs),
+        "every_m": every_m,
+        "camera": camera,
+        "lidar": lidar,
+        "slop_ms": slop_ms,
+        "poses": poses,
+        "images": images,
+        "calibration": calibration,
+        "lidar_height_m": lidar_height_m,
+        "image_topic": image_topic,
+        "cloud_topic": cloud_topic,
+        "pose_topic": pose_topic,
+    }
+    written = run(
+        src,
+        out,
+        kind[0] if kind else None,
+        workers=workers,
+        skip_bad=skip_bad,
+        progress=bar,
+        note=say,
+        **{name: value for name, value in given.items() if value is not None},
+    )
+    dataset, skipped = written.dataset, written.skipped
+    if skipped:
+        say(f"left out, {len(skipped)} damaged, all listed in {Path(out) / SKIPPED_FILE}:")
+        for one in skipped[:10]:
+            say(f"  {one.reason}")
+    say(
+        f"{written.frames_per_second:.1f} frames/s; of the work {100 * written.decode_share:.0f} % "
+        f"was decoding"
+    )
     print(f"{out}: {len(dataset.frames)} frames in {len(dataset.runs)} runs")

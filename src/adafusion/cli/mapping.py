@@ -120,11 +120,13 @@ def locate(
     image: Annotated[Path | None, typer.Option(help="Query image: PNG or JPEG.")] = None,
     cloud: Annotated[
         Path | None,
-        typer.Option(help="Query cloud: .npy (N, 3) in the body frame, or KITTI .bin."),
+        typer.Option(help="Query cloud: .npy (N, 3) in the body frame, or .bin, .pcd, .ply, .las."),
     ] = None,
     lidar_height_m: Annotated[
         float | None,
-        typer.Option(help="Height of the sensor above the ground, which a .bin must be told."),
+        typer.Option(
+            help="Height of the sensor above the ground, which all but a .npy must be told."
+        ),
     ] = None,
     dataset: Annotated[
         Path | None, typer.Option(help="Instead of one query, all frames of a dataset.")
@@ -258,10 +260,10 @@ def _read_query(
     import numpy as np
 
     from adafusion.datasets import read_cloud, read_image
-    from adafusion.datasets.kitti_odometry import read_velodyne
+    from adafusion.readers.clouds import read_points
     from adafusion.types import UserError
 
-    in_sensor_frame = cloud is not None and cloud.suffix == ".bin"
+    in_sensor_frame = cloud is not None and cloud.suffix.lower() != ".npy"
     if in_sensor_frame and lidar_height_m is None:
         raise UserError(
             f"{cloud} is in the frame of the sensor: give --lidar-height-m, its height above the "
@@ -269,12 +271,12 @@ def _read_query(
         )
     if lidar_height_m is not None and not in_sensor_frame:
         raise UserError(
-            "--lidar-height-m is for a .bin cloud: a .npy is in the body frame, where z = 0 is "
-            "the ground; leave the option out"
+            "--lidar-height-m is for clouds in the frame of the sensor: a .npy is in the body "
+            "frame, where z = 0 is the ground; leave the option out"
         )
     points = None
     if cloud is not None and in_sensor_frame:
-        points = read_velodyne(cloud) + np.array([0, 0, lidar_height_m], dtype=np.float32)
+        points = read_points(cloud) + np.array([0, 0, lidar_height_m], dtype=np.float32)
     elif cloud is not None:
         points = read_cloud(cloud)
     return None if image is None else read_image(image), points

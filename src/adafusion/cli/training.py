@@ -147,7 +147,7 @@ class Corpus:
         if not keep.any():
             raise UserError(
                 f"{', '.join(str(ds.root) for ds in self.datasets)}: no frame with both sensors "
-                f"in the {region or 'whole'} region: set `regions` in dataset.yaml, or choose by "
+                f"in the {region or 'whole'} region: cut it with `adafusion split`, or choose by "
                 "another dataset with --validation"
             )
         return np.flatnonzero(keep)

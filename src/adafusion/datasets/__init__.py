@@ -1,25 +1,18 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""Datasets: our own form on disk, and one module for each foreign format that is read into it."""
+"""Datasets: our own form on disk, its regions, and the loop that recordings are written by."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from adafusion.datasets.kitti_odometry import prepare_kitti_odometry
 from adafusion.datasets.native import Dataset, DatasetInfo, open_dataset
 from adafusion.datasets.sensor_files import read_cloud, read_image, write_observation
 from adafusion.datasets.writer import DatasetWriter
 
-READERS: dict[str, Callable[..., Dataset]] = {"kitti-odometry": prepare_kitti_odometry}
-
 __all__ = [
-    "READERS",
     "Dataset",
     "DatasetInfo",
     "DatasetWriter",
     "open_dataset",
-    "prepare_kitti_odometry",
     "read_cloud",
     "read_image",
     "write_observation",

@@ -24,6 +24,7 @@ import yaml
 from jaxtyping import Bool, Float
 
 from adafusion.datasets.sensor_files import read_cloud, read_image
+from adafusion.datasets.splits import check_boxes
 from adafusion.files import fingerprint
 from adafusion.geometry import is_rigid
 from adafusion.types import Frame, Observation, UserError
@@ -84,10 +85,7 @@ class DatasetInfo:
     regions: dict[str, list[list[float]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, boxes in self.regions.items():
-            for box in boxes:
-                if len(box) != 4 or not box[0] < box[2] or not box[1] < box[3]:
-                    raise ValueError(f"region {name!r}: {box} is no [xmin, ymin, xmax, ymax]")
+        check_boxes(self.regions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +163,7 @@ def _read_info(root: Path) -> tuple[DatasetInfo, dict[str, int]]:
         raise UserError(f"{path} is missing: give the folder of a prepared or simulated dataset")
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise UserError(f"{path} is no YAML ({error}): prepare the dataset again") from error
     if not isinstance(values, dict) or "schema_version" not in values:
         raise UserError(f"{path} has no schema_version: prepare the dataset again")

@@ -4,18 +4,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
+import math
+import os
 import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, Float32, Shaped, UInt8
 
 from adafusion.files import atomic_path
 from adafusion.types import Observation, UserError
 
 IMAGE_SUFFIXES = (".png", ".jpg")
+
+_MOST_PIXELS = 2**27  # no camera has as many, and a damaged header may claim any number
+_NPY_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
 
 
 def read_image(path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
@@ -26,22 +35,18 @@ def read_image(path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
 def decode_image(data: bytes, path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
     """Decode the bytes of a PNG or JPEG file to RGB; `path` serves the error message only."""
     # decoders differ in what they make of a cut file: a part filled up with grey, or an error
-    whole = _is_whole(data)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if whole else None
+    image = None
+    if _is_whole(data) and _claimed_pixels(data) <= _MOST_PIXELS:
+        with contextlib.suppress(cv2.error):  # of an image too large for it
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
-        raise _damaged(path, "is damaged or cut short", "image")
+        raise damaged(path, "is damaged or cut short", "image")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
 def read_cloud(path: str | Path) -> Float32[np.ndarray, "n 3"]:
     """Read a cloud, body frame, metres; UserError where it is damaged, empty or not finite."""
-    try:
-        with Path(path).open("rb") as file:
-            points = np.load(file, allow_pickle=False)
-    except FileNotFoundError:
-        raise _damaged(path, "is missing", "cloud") from None
-    except Exception as error:  # a damaged header is parsed as Python, and fails as anything
-        raise _damaged(path, f"is damaged ({error})", "cloud") from error
+    points = load_array(path)
     if points.dtype != np.float32 or points.ndim != 2 or points.shape[1] != 3:
         raise UserError(
             f"{path} holds {points.dtype} {points.shape}, not float32 (N, 3): save x, y, z alone, "
@@ -50,13 +55,32 @@ def read_cloud(path: str | Path) -> Float32[np.ndarray, "n 3"]:
     return check_points(points, path)
 
 
+def load_array(path: str | Path) -> Shaped[np.ndarray, "*shape"]:
+    """The array of a .npy file of a cloud; UserError where it is damaged or claims too much."""
+    try:
+        with Path(path).open("rb") as file:
+            version = np.lib.format.read_magic(file)
+            read_header = _NPY_HEADERS[version]
+            shape, _, dtype = read_header(file)
+            there = os.fstat(file.fileno()).st_size - file.tell()
+            # asked for first: NumPy would take memory for whatever the header claims
+            if not dtype.hasobject and math.prod(shape) * dtype.itemsize > there:
+                raise ValueError(f"its header claims {dtype} {shape}, {there} bytes are there")
+            file.seek(0)
+            return np.lib.format.read_array(file, allow_pickle=False)
+    except FileNotFoundError:
+        raise damaged(path, "is missing", "cloud") from None
+    except Exception as error:  # a damaged header is parsed as Python, and fails as anything
+        raise damaged(path, f"is damaged ({error})", "cloud") from error
+
+
 def check_points(points: Float[np.ndarray, "n 3"], path: str | Path) -> Float[np.ndarray, "n 3"]:
     """Return `points` if there are any and all are finite; else UserError that names `path`."""
     if len(points) == 0:
-        raise _damaged(path, "holds no points", "cloud")
+        raise damaged(path, "holds no points", "cloud")
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
-        raise _damaged(path, f"holds NaN or infinite points ({np.sum(~finite)})", "cloud")
+        raise damaged(path, f"holds NaN or infinite points ({np.sum(~finite)})", "cloud")
     return points
 
 
@@ -65,12 +89,13 @@ def read_bytes(path: Path, kind: str) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError:
-        raise _damaged(path, "is missing", kind) from None
+        raise damaged(path, "is missing", kind) from None
     except OSError as error:
-        raise _damaged(path, f"cannot be read ({error.strerror})", kind) from error
+        raise damaged(path, f"cannot be read ({error.strerror})", kind) from error
 
 
-def _damaged(path: str | Path, what: str, kind: str) -> UserError:
+def damaged(path: str | Path, what: str, kind: str) -> UserError:
+    """What to say of a sensor file that cannot be used. `kind`: "image" or "cloud"."""
     return UserError(f"{path} {what}: replace it with a whole {kind}, or leave it out")
 
 
@@ -90,6 +115,21 @@ def _is_whole(data: bytes) -> bool:
             return True
         start = end
     return False
+
+
+def _claimed_pixels(data: bytes) -> int:
+    """Width times height by the header of a PNG or JPEG; 0 where there is none."""
+    if data.startswith(b"\x89PNG"):
+        width, height = data[16:20], data[20:24]
+        return int.from_bytes(width, "big") * int.from_bytes(height, "big")
+    start = 2
+    while data.startswith(b"\xff\xd8") and start + 9 <= len(data) and data[start] == 0xFF:
+        marker, length = data[start + 1], int.from_bytes(data[start + 2 : start + 4], "big")
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):  # start of frame
+            height, width = data[start + 5 : start + 7], data[start + 7 : start + 9]
+            return int.from_bytes(width, "big") * int.from_bytes(height, "big")
+        start += 2 + length
+    return 0
 
 
 def write_observation(

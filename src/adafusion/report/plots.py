@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from adafusion.datasets.splits import GUARD, Regions, region_of
 from adafusion.report.data import AlphaTrace, PairDistances, RouteView, SystemResult
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ INK, FAINT = "#1f2430", "#8b93a3"
 IMAGE, LIDAR = "#e69f00", "#0072b2"
 RIGHT, WRONG = "#009e73", "#d55e00"
 SYSTEMS = {"image": IMAGE, "lidar": LIDAR, "concat": "#cc79a7", "adafusion": INK}
+REGIONS = {"train": "#6b7280", "validation": "#8a6d1f", "guard": "#c3c8d2", "test": "#a3333d"}
 SPARE = ("#8a6d1f", "#7b5ea7", "#a3333d", "#6b7280", "#56b4e9")
 
 WIDE, HALF = 9.4, 4.6  # inches: the width of a page, and of a chart with a neighbour
@@ -138,8 +140,7 @@ def route(view: RouteView) -> Figure:
         mark(query[wrong], "x", f"miss ({wrong.sum()})", color=WRONG, markersize=5, mew=1.6 * size)
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_title(f"{view.system}, {view.split}".replace("->", " → "))
-        for axis, name, value in zip((axes.xaxis, axes.yaxis), "xy", origin, strict=True):
-            axis.set_label_text(f"{name} − {value:.0f} (m)" if value else f"{name} (m)")
+        _label_plane(axes, origin)
         figure.legend(
             loc="outside lower center",
             ncols=4,
@@ -147,6 +148,62 @@ def route(view: RouteView) -> Figure:
             handletextpad=0.3,
             columnspacing=1.2,
         )
+        return figure
+
+
+def region_map(
+    ways_xy_m: Mapping[str, Float[np.ndarray, "n 2"]], regions: Regions, *, title: str
+) -> Figure:
+    """The way of every run, its frames coloured by region, and the boxes that make the regions.
+
+    x and y are those of the dataset's world, metres; from a near origin where they are large.
+    """
+    with _style():
+        xy = np.concatenate(list(ways_xy_m.values()))
+        origin = _near_origin(xy)
+        names = region_of(xy, regions)
+        low, high = xy.min(axis=0) - origin, xy.max(axis=0) - origin
+        margin = 0.04 * float((high - low).max()) + 10.0
+        low, high = low - margin, high + margin
+        low[1] -= margin  # room for the scale bar
+        wide, tall = high - low
+        figure, (axes,) = _figure(WIDE, 1.0 + float(np.clip(8.0 * tall / wide, 3.0, 10.0)))
+        draw: dict[str, Any] = {"rasterized": len(xy) > MANY}
+
+        for way in ways_xy_m.values():
+            gaps = _gaps(np.r_[0.0, np.hypot(*np.diff(way, axis=0).T).cumsum()])
+            line = np.insert(way - origin, gaps, np.nan, axis=0)
+            axes.plot(*line.T, color=FAINT, linewidth=0.6, alpha=0.6, **draw)
+        shown = [*REGIONS, *sorted(set(regions) - REGIONS.keys())]
+        colors = REGIONS | dict(zip(shown[len(REGIONS) :], cycle(SPARE), strict=False))
+        size = float(np.clip(4.0 * (2000 / len(xy)) ** 0.5, 1.2, 4.0))
+        for name in shown:
+            here = xy[names == name] - origin
+            if len(here):
+                look: dict[str, Any] = {"color": colors[name], "markersize": size, **draw}
+                label = f"{name} ({len(here):,} frames)"
+                axes.plot(*here.T, "o", label=label, markeredgewidth=0, **look)
+        rectangle = _matplotlib("patches").Rectangle
+        for name in reversed([name for name in shown if name in regions]):
+            # guards overlap each other and lie below the rest: no tint that would add up
+            guard = name == GUARD
+            tint = {"color": "#eef0f3", "zorder": 0.4} if guard else {"alpha": 0.13}
+            tint = {"color": colors[name], "linewidth": 0, "zorder": 0.5, **tint}
+            for box in regions[name]:
+                # what reaches beyond the picture, to infinity even, ends outside of it
+                corners = np.reshape(box, (2, 2)) - origin
+                corner, end = np.clip(corners, low - margin, high + margin)
+                axes.add_patch(rectangle(corner, *(end - corner), **tint))
+                if not guard:
+                    edge = {"fill": False, "edgecolor": colors[name], "linewidth": 1.2}
+                    axes.add_patch(rectangle(corner, *(end - corner), **edge))
+        axes.set_xlim(low[0], high[0])
+        axes.set_ylim(low[1], high[1])
+        axes.set_aspect("equal", adjustable="box")
+        _scale_bar(axes, low, high)
+        axes.set_title(title)
+        _label_plane(axes, origin)
+        figure.legend(loc="outside lower center", ncols=4, markerscale=5 / size, handletextpad=0.3)
         return figure
 
 
@@ -298,6 +355,21 @@ def _near_origin(xy_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " 2"]:
     """What to take off map coordinates to read them at all: UTM northings have seven digits."""
     lowest = xy_m.min(axis=0) if len(xy_m) else np.zeros(2)
     return np.where(np.abs(lowest) > 1e4, np.floor(lowest / 1000) * 1000, 0.0)
+
+
+def _label_plane(axes: Axes, origin: Float[np.ndarray, " 2"]) -> None:
+    for axis, name, value in zip((axes.xaxis, axes.yaxis), "xy", origin, strict=True):
+        axis.set_label_text(f"{name} − {value:.0f} (m)" if value else f"{name} (m)")
+
+
+def _scale_bar(axes: Axes, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]) -> None:
+    """A bar of a round length, at most a quarter of the width, in the lower left corner."""
+    wide, tall = high - low
+    power = 10.0 ** np.floor(np.log10(wide / 4))
+    length = power * max(step for step in (1, 2, 5) if step * power <= wide / 4)
+    x, y = low[0] + 0.02 * wide, low[1] + 0.015 * tall
+    axes.plot([x, x + length], [y, y], color=INK, linewidth=2.5, solid_capstyle="butt")
+    axes.annotate(f"{length:g} m", (x, y), (0, 4), textcoords="offset points", color=INK)
 
 
 def _zone_tints(traces: Sequence[AlphaTrace]) -> tuple[str | None, dict[str, str]]:

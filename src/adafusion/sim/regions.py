@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from adafusion.datasets.splits import GUARD, TEST, VALIDATION
 from adafusion.sim.run.route import plan_route
 from adafusion.sim.town.world import World
 
 Boxes = dict[str, list[list[float]]]
 
 GUARD_M = 26.0  # no frame is used in a strip so wide along a border: matches reach 20 or 25 m
-GUARD = "guard"  # the region that is nobody's
 TEST_SHARE, VALIDATION_SHARE = 0.40, 0.30  # of the way; of what is left of it
 
 
@@ -26,12 +26,14 @@ def split_three(world: World) -> Boxes:
     cut_y = float(np.quantile(rest[:, 1], 1.0 - VALIDATION_SHARE))
     half = GUARD_M / 2
     return _rounded(
-        guard=[
-            [cut_x - half, ymin, cut_x + half, ymax],
-            [xmin, cut_y - half, cut_x, cut_y + half],
-        ],
-        test=[[cut_x, ymin, xmax, ymax]],
-        validation=[[xmin, cut_y, cut_x, ymax]],
+        {
+            GUARD: [
+                [cut_x - half, ymin, cut_x + half, ymax],
+                [xmin, cut_y - half, cut_x, cut_y + half],
+            ],
+            TEST: [[cut_x, ymin, xmax, ymax]],
+            VALIDATION: [[xmin, cut_y, cut_x, ymax]],
+        }
     )
 
 
@@ -41,8 +43,10 @@ def split_two(world: World) -> Boxes:
     cut_y = float(np.quantile(way[:, 1], 1.0 - VALIDATION_SHARE))
     half = GUARD_M / 2
     return _rounded(
-        guard=[[xmin, cut_y - half, xmax, cut_y + half]],
-        validation=[[xmin, cut_y, xmax, ymax]],
+        {
+            GUARD: [[xmin, cut_y - half, xmax, cut_y + half]],
+            VALIDATION: [[xmin, cut_y, xmax, ymax]],
+        }
     )
 
 
@@ -53,7 +57,7 @@ def nowhere(world: World) -> Boxes:
 
 def everywhere(world: World) -> Boxes:
     """Every place judges."""
-    return _rounded(test=[list(_bounds(world))])
+    return _rounded({TEST: [list(_bounds(world))]})
 
 
 REGIONS: dict[str, Callable[[World], Boxes]] = {
@@ -69,7 +73,7 @@ def _bounds(world: World) -> tuple[float, float, float, float]:
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def _rounded(**boxes: list[list[float]]) -> Boxes:
+def _rounded(regions: Boxes) -> Boxes:
     return {
-        name: [[round(edge, 3) for edge in box] for box in part] for name, part in boxes.items()
+        name: [[round(edge, 3) for edge in box] for box in part] for name, part in regions.items()
     }

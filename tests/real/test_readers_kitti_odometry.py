@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from adafusion.datasets import Dataset, prepare_kitti_odometry
+from adafusion.datasets import Dataset
+from adafusion.datasets.recording import write_recording
 from adafusion.geometry import invert, pose, rotation_from_rpy, transform
+from adafusion.readers.kitti_odometry import read
 from adafusion.types import Observation, UserError
 
 
@@ -23,9 +25,13 @@ def src(real_data: Path) -> Path:
     return real_data / "kitti_odometry"
 
 
+def prepare(src: Path, out: Path) -> Dataset:
+    return write_recording(read(src), out).dataset
+
+
 @pytest.fixture(scope="module")
 def dataset(src: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return prepare_kitti_odometry(src, tmp_path_factory.mktemp("kitti") / "out")
+    return prepare(src, tmp_path_factory.mktemp("kitti") / "out")
 
 
 def test_every_frame_is_there_with_both_sensors(dataset: Dataset, src: Path) -> None:
@@ -122,7 +128,7 @@ def test_a_damaged_recording_is_named(
     broken = copy / "sequences/04" / file
     broken.write_bytes(damage(broken.read_bytes()))
     with pytest.raises(UserError, match=f"{file} .*{told}"):
-        prepare_kitti_odometry(copy, tmp_path / "out")
+        prepare(copy, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 

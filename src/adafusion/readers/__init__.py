@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every format of recorded data that is read, by name, and the way from any of them to a dataset."""
+"""Recorded data: every format that is read, by name, and the way from any of them to a dataset."""
 
 from __future__ import annotations
 
@@ -10,10 +10,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from adafusion.datasets import (
-    kitti_odometry,
-)
 from adafusion.datasets.recording import Recording, Written, write_recording
+from adafusion.readers import (
+    bag,
+    boreas,
+    folder,
+    kitti_odometry,
+    kitti_raw,
+    mulran,
+    nclt,
+    nuscenes,
+    opr,
+    pointnetvlad,
+    robotcar,
+)
 from adafusion.types import Progress, UserError, silent
 
 logger = logging.getLogger(__name__)
@@ -34,11 +44,22 @@ class Reader(NamedTuple):
 
 # the plain folder comes last: it recognises what the others have names for
 READERS: dict[str, Reader] = {
-    "kitti-odometry": Reader(
-        "KITTI odometry benchmark: colour camera and Velodyne",
-        kitti_odometry.recognises,
-        kitti_odometry.read,
+    "robotcar": Reader("Oxford RobotCar, as recorded", robotcar.recognises, robotcar.read),
+    "pointnetvlad": Reader(
+        "submaps of the PointNetVLAD benchmark", pointnetvlad.recognises, pointnetvlad.read
     ),
+    "nclt": Reader("NCLT, as recorded", nclt.recognises, nclt.read),
+    "opr": Reader("NCLT or Oxford, made ready by OpenPlaceRecognition", opr.recognises, opr.read),
+    "kitti-odometry": Reader(
+        "KITTI odometry benchmark", kitti_odometry.recognises, kitti_odometry.read
+    ),
+    "kitti-raw": Reader("KITTI raw drives", kitti_raw.recognises, kitti_raw.read),
+    "boreas": Reader("Boreas", boreas.recognises, boreas.read),
+    "mulran": Reader("MulRan", mulran.recognises_mulran, mulran.read_mulran),
+    "helipr": Reader("HeLiPR", mulran.recognises_helipr, mulran.read_helipr),
+    "nuscenes": Reader("nuScenes keyframes", nuscenes.recognises, nuscenes.read),
+    "bag": Reader("bags of ROS 1 or ROS 2, without ROS", bag.recognises, bag.read),
+    "folder": Reader("images, clouds and a table of poses", folder.recognises, folder.read),
 }
 
 

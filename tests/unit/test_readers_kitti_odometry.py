@@ -7,18 +7,17 @@ from __future__ import annotations
 import shutil
 import struct
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import pytest
 
-from adafusion.datasets import READERS
-from adafusion.datasets.kitti_odometry import prepare_kitti_odometry
+from adafusion.datasets import Dataset
+from adafusion.datasets.recording import write_recording
+from adafusion.readers import READERS
+from adafusion.readers.kitti_odometry import read, recognises
 from adafusion.types import UserError
-
-T = TypeVar("T")
 
 # Camera 0 sits 0.27 m before the Velodyne and 0.08 m below it; camera 2 a further 0.06 m left.
 CALIB = """\
@@ -65,6 +64,10 @@ def write_sequence(src: Path, name: str) -> None:
         (folder / "velodyne" / f"{row:06d}.bin").write_bytes(scan())
 
 
+def prepare(src: Path, out: Path, runs: Sequence[str] | None = None) -> Dataset:
+    return write_recording(read(src, runs=runs), out).dataset
+
+
 @pytest.fixture
 def src(tmp_path: Path) -> Path:
     write_sequence(tmp_path / "kitti", "04")
@@ -72,7 +75,7 @@ def src(tmp_path: Path) -> Path:
 
 
 def test_poses_become_those_of_the_body(src: Path, tmp_path: Path) -> None:
-    dataset = prepare_kitti_odometry(src, tmp_path / "out")
+    dataset = prepare(src, tmp_path / "out")
     assert [frame.key for frame in dataset.frames] == ["04/0", "04/104128", "04/208254"]
     # turning left about the camera, the point under the Velodyne, 0.27 m behind it, swings right
     expected = [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [20.27, -0.27, 0.0]]
@@ -85,7 +88,7 @@ def test_poses_become_those_of_the_body(src: Path, tmp_path: Path) -> None:
 
 
 def test_points_stand_on_the_ground(src: Path, tmp_path: Path) -> None:
-    dataset = prepare_kitti_odometry(src, tmp_path / "out")
+    dataset = prepare(src, tmp_path / "out")
     points = dataset.load(dataset.frames[0]).points_body
     assert points is not None
     assert points.dtype == np.float32
@@ -93,7 +96,7 @@ def test_points_stand_on_the_ground(src: Path, tmp_path: Path) -> None:
 
 
 def test_images_are_kept_byte_for_byte_and_read_as_rgb(src: Path, tmp_path: Path) -> None:
-    dataset = prepare_kitti_odometry(src, tmp_path / "out")
+    dataset = prepare(src, tmp_path / "out")
     frame = dataset.frames[2]
     image = dataset.load(frame).image
     assert frame.image == "04/images/208254.png"
@@ -104,7 +107,7 @@ def test_images_are_kept_byte_for_byte_and_read_as_rgb(src: Path, tmp_path: Path
 
 
 def test_the_calibration_places_both_sensors_in_the_body(src: Path, tmp_path: Path) -> None:
-    info = prepare_kitti_odometry(src, tmp_path / "out").info
+    info = prepare(src, tmp_path / "out").info
     calibration = info.calibration["04"]
     assert calibration["K"] == [[700.0, 0.0, 6.0], [0.0, 700.0, 4.0], [0.0, 0.0, 1.0]]
     to_camera_axes = [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
@@ -125,7 +128,7 @@ def test_gaps_are_borne_and_either_sensor_may_be_missing(src: Path, tmp_path: Pa
     (folder / "velodyne/000001.bin").unlink()
     (folder / "velodyne/000002.bin").unlink()
     (folder / "velodyne/._000001.bin").write_bytes(b"what a file browser leaves")
-    dataset = prepare_kitti_odometry(src, tmp_path / "out")
+    dataset = prepare(src, tmp_path / "out")
     first, last = (dataset.load(frame) for frame in dataset.frames)
     assert [frame.timestamp_us for frame in dataset.frames] == [0, 208254]
     assert (first.image is None, first.points_body is None) == (True, False)
@@ -134,8 +137,8 @@ def test_gaps_are_borne_and_either_sensor_may_be_missing(src: Path, tmp_path: Pa
 
 def test_sequences_can_be_chosen_and_never_seem_to_meet(src: Path, tmp_path: Path) -> None:
     write_sequence(src, "07")
-    both = prepare_kitti_odometry(src, tmp_path / "both")
-    one = prepare_kitti_odometry(src, tmp_path / "one", sequences=["07"])
+    both = prepare(src, tmp_path / "both")
+    one = prepare(src, tmp_path / "one", runs=["07"])
     assert (both.runs, one.runs) == (("04", "07"), ("07",))
     np.testing.assert_allclose(both.positions_m[3:] - both.positions_m[:3], [[0.0, 1e4, 0.0]] * 3)
     np.testing.assert_allclose(one.positions_m, both.positions_m[:3])
@@ -144,7 +147,7 @@ def test_sequences_can_be_chosen_and_never_seem_to_meet(src: Path, tmp_path: Pat
 def test_another_choice_of_sequences_is_another_world(src: Path, tmp_path: Path) -> None:
     write_sequence(src, "07")
     worlds = [
-        prepare_kitti_odometry(src, tmp_path / f"{row}", sequences=names).world
+        prepare(src, tmp_path / f"{row}", runs=names).world
         for row, names in enumerate([None, ["04", "07"], ["07", "04"], ["04"], ["07"]])
     ]
     assert worlds[0] == worlds[1]  # the same runs at the same places
@@ -152,33 +155,36 @@ def test_another_choice_of_sequences_is_another_world(src: Path, tmp_path: Path)
 
 
 def test_sequences_without_poses_or_files_are_left_out_unless_named(
-    src: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    src: Path, tmp_path: Path
 ) -> None:
     for name in ("05", "11"):
         write_sequence(src, name)
     (src / "poses/11.txt").unlink()  # not public
     shutil.rmtree(src / "sequences/05/image_2")
     shutil.rmtree(src / "sequences/05/velodyne")
-    assert prepare_kitti_odometry(src, tmp_path / "out").runs == ("04",)
-    assert "left out 05, 11" in caplog.text
+    recording = read(src)
+    assert write_recording(recording, tmp_path / "out").dataset.runs == ("04",)
+    assert "left out 05, 11" in recording.notes[0]
     for name, told in (("05", r"sequences/05 has no image_2"), ("11", r"poses/11\.txt is missing")):
         with pytest.raises(UserError, match=told):
-            prepare_kitti_odometry(src, tmp_path / name, sequences=["04", name])
+            prepare(src, tmp_path / name, runs=["04", name])
 
 
-def test_progress_counts_the_frames(src: Path, tmp_path: Path) -> None:
-    totals: list[int | None] = []
-
-    def progress(items: Iterable[T], *, total: int | None = None, desc: str = "") -> Iterable[T]:
-        totals.append(total)
-        return items
-
-    prepare_kitti_odometry(src, tmp_path / "out", progress=progress)
-    assert totals == [3]
+def test_the_number_of_frames_is_known_beforehand(src: Path) -> None:
+    assert read(src).total == 3
 
 
-def test_the_reader_is_found_by_its_name() -> None:
-    assert READERS["kitti-odometry"] is prepare_kitti_odometry
+def test_frames_may_be_thinned_by_travel(src: Path, tmp_path: Path) -> None:
+    dataset = write_recording(read(src, every_m=15.0), tmp_path / "out").dataset
+    assert [frame.timestamp_us for frame in dataset.frames] == [0, 208254]
+    assert "a frame every 15 m" in dataset.info.source
+
+
+def test_the_layout_is_recognised(src: Path, tmp_path: Path) -> None:
+    assert READERS["kitti-odometry"].read is read
+    assert recognises(src)
+    for other in (src / "sequences", src / "poses/04.txt", tmp_path / "nothing"):
+        assert not recognises(other)
 
 
 def rewrite(name: str, change: Callable[[bytes], bytes]) -> Callable[[Path], None]:
@@ -219,7 +225,7 @@ NAN = scan([(1.0, float("nan"), 0.0, 0.0), *POINTS])
             POSES_FILE,
             r"2 poses, .*times\.txt 3 times: fetch",
         ),
-        (rewrite(POSES_FILE, lambda b: b.replace(b"-1", b"1")), POSES_FILE, "line 3 is no rigid"),
+        (rewrite(POSES_FILE, lambda b: b.replace(b"-1", b"1")), POSES_FILE, "row 3 is no rigid"),
         (rewrite(POSES_FILE, lambda b: b.replace(b"20", b"nan")), POSES_FILE, "line 3 is not 12"),
         (rewrite(POSES_FILE, lambda b: b"\xff\xfe"), POSES_FILE, "cannot be read .*: fetch it"),
         (rewrite(TIMES_FILE, lambda b: b"0\nx\n1\n"), TIMES_FILE, "line 2 is not 1 finite numbers"),
@@ -240,7 +246,7 @@ def test_damage_is_named_and_leaves_no_dataset(
     out = tmp_path / "out"
     damage(src)
     with pytest.raises(UserError, match=told) as raised:
-        prepare_kitti_odometry(src, out)
+        prepare(src, out)
     assert str(src / file) in str(raised.value)
     assert not out.exists()
 
@@ -248,9 +254,9 @@ def test_damage_is_named_and_leaves_no_dataset(
 def test_after_a_repair_the_same_call_succeeds(src: Path, tmp_path: Path) -> None:
     rewrite(CLOUD, lambda data: data[:-5])(src)
     with pytest.raises(UserError):
-        prepare_kitti_odometry(src, tmp_path / "out")
+        prepare(src, tmp_path / "out")
     rewrite(CLOUD, lambda data: scan())(src)
-    dataset = prepare_kitti_odometry(src, tmp_path / "out")
+    dataset = prepare(src, tmp_path / "out")
     assert len(dataset.frames) == 3
     assert not (tmp_path / "out.partial").exists()
 
@@ -258,19 +264,19 @@ def test_after_a_repair_the_same_call_succeeds(src: Path, tmp_path: Path) -> Non
 def test_more_files_than_poses_are_refused(src: Path, tmp_path: Path) -> None:
     (src / "sequences/04/velodyne/000003.bin").write_bytes(scan())
     with pytest.raises(UserError, match=r"frame 000003, .*04\.txt only 3 poses"):
-        prepare_kitti_odometry(src, tmp_path / "out")
+        prepare(src, tmp_path / "out")
 
 
 def test_a_wrong_folder_or_sequence_is_told_what_to_give(src: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with pytest.raises(UserError, match="give the folder above `sequences`"):
-        prepare_kitti_odometry(src / "sequences", out)
+        prepare(src / "sequences", out)
     with pytest.raises(UserError, match=r"sequences/05 is missing: choose from 04"):
-        prepare_kitti_odometry(src, out, sequences=["05"])
+        prepare(src, out, runs=["05"])
     with pytest.raises(UserError, match=r"no sequence .* is chosen"):
-        prepare_kitti_odometry(src, out, sequences=[])
+        prepare(src, out, runs=[])
     for path in [*src.rglob("*.png"), *src.rglob("*.bin")]:
         path.unlink()
     with pytest.raises(UserError, match=r"sequences/04 has no image_2/\*\.png and no velodyne"):
-        prepare_kitti_odometry(src, out)
+        prepare(src, out)
     assert not out.exists()

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -37,6 +38,10 @@ def read_numbers(
     `delimiter` None is any white space. Microseconds since the epoch are exact in float64 below
     2^53. UserError names file and line.
     """
+    table = _read_plain(path, delimiter, skip_lines)
+    plain = table is not None and columns in (None, table.shape[1])
+    if table is not None and plain and (allow_nan or np.isfinite(table).all()):
+        return table
     rows: list[list[float]] = []
     for number, line in enumerate(read_text(path, remedy).splitlines(), start=1):
         if number <= skip_lines or not line.strip() or line.lstrip().startswith("#"):
@@ -47,11 +52,26 @@ def read_numbers(
             row = []
         columns = columns or len(row)
         if len(row) != columns or not row or not (allow_nan or np.isfinite(row).all()):
-            raise UserError(
-                f"{path}: line {number} is not {columns or ''} finite numbers: {remedy}"
-            )
+            wanted = f"{columns} finite" if columns else "finite"
+            raise UserError(f"{path}: line {number} is not {wanted} numbers: {remedy}")
         rows.append(row)
     return np.array(rows, dtype=np.float64).reshape(len(rows), columns or 0)
+
+
+def _read_plain(
+    path: str | Path, delimiter: str | None, skip_lines: int
+) -> Float64[np.ndarray, "rows columns"] | None:
+    """A table without a fault or a comment, many times faster; None where it has either."""
+    try:
+        with (
+            Path(path).open(encoding="utf-8-sig") as file,
+            warnings.catch_warnings(action="error", category=UserWarning),  # of a file without rows
+        ):
+            return np.loadtxt(
+                file, delimiter=delimiter, skiprows=skip_lines, comments=None, ndmin=2
+            )
+    except (ValueError, OSError, UserWarning):
+        return None
 
 
 def read_records(
@@ -66,6 +86,8 @@ def read_records(
     header = [word.strip() for word in lines[0].split(",")] if lines else []
     if lacking := [name for name in columns if name not in header]:
         raise UserError(f"{path} has no column {', '.join(lacking)}: {remedy}")
+    if twice := [name for name in header if name and header.count(name) > 1]:
+        raise UserError(f"{path} has two columns {twice[0]}: {remedy}")
     for number, line in enumerate(lines[1:], start=2):
         if not line.strip():
             continue
@@ -80,6 +102,6 @@ def read_records(
 def path_inside(root: str | Path, name: str, named_by: str | Path) -> Path:
     """`root / name`; UserError where a name that a table gives leads out of `root`."""
     parts = Path(name).parts
-    if not parts or Path(name).is_absolute() or ".." in parts or "\\" in name or "\0" in name:
+    if not parts or Path(name).anchor or ".." in parts or "\\" in name or "\0" in name:
         raise UserError(f"{named_by} names {name!r}, which is no file below {root}: mend the table")
     return Path(root) / name
