@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -16,7 +18,7 @@ from adafusion.config import to_plain
 from adafusion.files import fingerprint
 from adafusion.models.backbones import Backbone
 from adafusion.models.config import ModelConfig
-from adafusion.types import Description
+from adafusion.types import Description, UserError
 
 
 class PlaceModel(nn.Module, ABC):
@@ -34,6 +36,16 @@ class PlaceModel(nn.Module, ABC):
     def initialise(self, generator: torch.Generator) -> None:
         """Draw the weights that training starts from, where the framework's do not serve."""
         del generator
+
+    def begin(
+        self, batches: Iterable[tuple[Tensor | None, Tensor | None]], generator: torch.Generator
+    ) -> None:
+        """Look at some of the training's frames once, before it begins; most systems need not."""
+        del batches, generator
+
+    def load_imagenet(self, path: str | Path) -> None:
+        """Take the image network's public ImageNet weights; UserError where there is none such."""
+        raise UserError(f"{path}: {self.config.system} has no network that ImageNet weights fit")
 
     @property
     def backbones(self) -> list[Backbone]:

@@ -7,12 +7,20 @@ from __future__ import annotations
 from adafusion.models.adafusion import AdaFusion
 from adafusion.models.base import PlaceModel
 from adafusion.models.config import ModelConfig
+from adafusion.models.minkloc import MinkLoc
+from adafusion.models.netvlad import NetVLAD
+from adafusion.models.oertel import Oertel
+from adafusion.models.pointnetvlad import PointNetVLAD
 
 SYSTEMS: dict[str, type[PlaceModel]] = {
     "adafusion": AdaFusion,
     "concat": AdaFusion,
     "image": AdaFusion,
     "lidar": AdaFusion,
+    "netvlad": NetVLAD,
+    "pointnetvlad": PointNetVLAD,
+    "minkloc": MinkLoc,
+    "oertel": Oertel,
 }
 
 

@@ -7,10 +7,23 @@ The paper augments without giving sizes; the defaults are those in the released 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
+
+# what MinkLoc++'s released training (jac99/MinkLocMultimodal, datasets/augmentation.py) does to
+# point sets; lengths are in the sets' own unit, of which most clouds span two
+SET_JITTER, SET_JITTER_CLIP = 0.001, 0.002  # standard deviation of a point's shift; its bound
+SET_DROPPED = 0.1  # of the points, at most
+SET_SHIFT = 0.01  # standard deviation of a whole set's shift along each axis
+ERASE_CHANCE = 0.4  # that an upright box of a set is emptied
+ERASE_AREA = (0.02, 0.33)  # of the box, as a share of the set's extent in x and y
+ERASE_ASPECT = (0.3, 3.3)  # of the box: its extent in y by that in x
+YAW_RAD = math.radians(5.0)  # at most
+FLIP_X, FLIP_Y = 0.25, 0.25  # chances that x, or else y, is turned over
 
 GREY = (0.299, 0.587, 0.114)  # luma of R, G, B (ITU-R BT.601), as Pillow and torchvision weigh them
 
@@ -30,6 +43,55 @@ def jitter_points(
     return points_body + np.clip(noise * np.float32(sigma_m), -clip_m, clip_m).astype(
         points_body.dtype
     )
+
+
+def augment_points(
+    points: Float[Tensor, "b n 3"], generator: torch.Generator
+) -> Float[Tensor, "b n 3"]:
+    """Change point sets as MinkLoc++'s training does; z is upright, and zero is their middle.
+
+    Each set has its points jittered, some dropped, all shifted, and perhaps an upright box emptied.
+    Then one turn about z, and perhaps one flip of x or of y, for the whole batch: no set is turned
+    against another. Points that go away go to zero, so that sets keep their size. Equal generator
+    states give equal results.
+    """
+    b, n, _ = points.shape
+    draws = torch.rand(b, 6, generator=generator, device=generator.device).to(points)
+    order = torch.rand(b, n, generator=generator, device=generator.device).to(points)
+    noise = torch.randn(b, n + 1, 3, generator=generator, device=generator.device).to(points)
+    turn, flip = torch.rand(2, generator=generator, device=generator.device).tolist()
+
+    jitter = (SET_JITTER * noise[:, :n]).clamp(-SET_JITTER_CLIP, SET_JITTER_CLIP)
+    points = points + jitter + SET_SHIFT * noise[:, n:]
+    dropped = order.argsort(dim=1) < (SET_DROPPED * n * draws[:, :1]).floor()
+    points = points.masked_fill((dropped | _in_box(points, draws[:, 1:]))[..., None], 0.0)
+    return points @ _turn(YAW_RAD * (2 * turn - 1), flip).to(points)
+
+
+def _in_box(points: Float[Tensor, "b n 3"], draws: Float[Tensor, "b 5"]) -> Bool[Tensor, "b n"]:
+    """Which points lie in the upright box that is to be emptied, in the sets that have one."""
+    chance, area, aspect, *place = draws.T
+    lower, upper = points[..., :2].amin(dim=1), points[..., :2].amax(dim=1)
+    extent = upper - lower
+    area = _between(ERASE_AREA, area) * extent.prod(dim=1)
+    aspect = _between(ERASE_ASPECT, aspect)
+    size = torch.stack([(area / aspect).sqrt(), (area * aspect).sqrt()], dim=1)
+    start = lower + torch.stack(place, dim=1) * (extent - size)
+    xy = points[..., :2]
+    inside = (xy > start[:, None]) & (xy < (start + size)[:, None])
+    return inside.all(dim=2) & (chance < ERASE_CHANCE)[:, None]
+
+
+def _between(bounds: tuple[float, float], draw: Tensor) -> Tensor:
+    return bounds[0] + (bounds[1] - bounds[0]) * draw
+
+
+def _turn(yaw_rad: float, flip: float) -> Float[Tensor, "3 3"]:
+    """What rows are multiplied by to turn them about z, then flip x or y as the draw says."""
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    x = -1.0 if flip < FLIP_X else 1.0
+    y = -1.0 if FLIP_X <= flip < FLIP_X + FLIP_Y else 1.0
+    return torch.tensor([[x * cos, y * sin, 0.0], [-x * sin, y * cos, 0.0], [0.0, 0.0, 1.0]])
 
 
 def color_jitter(

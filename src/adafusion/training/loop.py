@@ -38,7 +38,12 @@ from adafusion.models import (
     use_channels_last,
 )
 from adafusion.models.backbones import add_norms, fold_norms
-from adafusion.preprocess.augment import blank_sensors, color_jitter, jitter_points
+from adafusion.preprocess.augment import (
+    augment_points,
+    blank_sensors,
+    color_jitter,
+    jitter_points,
+)
 from adafusion.preprocess.cache import PreparedSet
 from adafusion.preprocess.image import from_unit, to_unit
 from adafusion.training.checkpoint import (
@@ -63,6 +68,7 @@ MODEL_FILE = "model.safetensors"  # the best on validation or the last, ready to
 SELECTED_BY = "recall@1"
 BALANCE_BATCHES = 4
 MINING_BATCH = 32
+BEGIN_FRAMES = 500  # that a system may look at before it learns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,6 +126,10 @@ def train(
         accelerator = "cuda" if torch.cuda.is_available() else "cpu"
     fabric = Fabric(accelerator=accelerator, devices=1, precision=precision)
     model = build_model(config)
+    if not resume:
+        looked_at = np.random.default_rng((config.seed, 2)).permutation(rows)[:BEGIN_FRAMES]
+        generator = torch.Generator().manual_seed(config.seed)
+        model.begin(prepared_batches(data, looked_at), generator)
     if config.balance and not resume and isinstance(model, AdaFusion):
         balance_branches(model, data, sampler.batches(0, BALANCE_BATCHES), config.loss)
     optimizer = _optimizer(config.optimiser, model)
@@ -232,6 +242,8 @@ def build_model(config: TrainConfig) -> PlaceModel:
         model = build_system(config.model)
     if config.initialisation == "he":
         model.initialise(torch.Generator().manual_seed(config.seed))
+    if config.imagenet is not None:
+        model.load_imagenet(config.imagenet)
     for file in config.init:
         take_branches(model, load_model(file))
     if config.norms:
@@ -345,6 +357,9 @@ def _inputs(
             )
         else:
             lidar = data.lidar(batch.rows)
+        if augment.points and data.settings.lidar == "points":
+            seed = int(np.random.SeedSequence((*key, 2)).generate_state(1)[0])
+            lidar = augment_points(lidar, torch.Generator().manual_seed(seed))
         if lidar.ndim == 5:
             lidar = lidar.contiguous(memory_format=torch.channels_last_3d)
     if image is not None and lidar is not None and augment.blank:

@@ -166,6 +166,7 @@ class Augment:
     color: float = 0.2  # brightness, contrast and saturation, each by up to this share
     jitter_m: float = 0.0  # standard deviation of each point's shift; reads raw clouds, so slower
     jitter_clip_m: float = 0.05
+    points: bool = False  # MinkLoc++'s changes of point sets, see `augment_points`
     blank: float = 0.0  # share of frames that lose one of two sensors: what makes weights move
 
     def __post_init__(self) -> None:
@@ -195,6 +196,7 @@ class TrainConfig:
     checkpoint_every: int = 500  # batches: what a killed training loses at most
     keep: Literal["best", "last"] = "best"  # on validation: what becomes model.safetensors
     initialisation: Literal["framework", "he"] = "he"
+    imagenet: str | None = None  # file of torchvision's weights for the image network, if at hand
     norms: bool = True  # batch norm after every convolution, folded away in what is saved
     init: tuple[str, ...] = ()  # model files whose branches this training starts from
     balance: bool = False  # first scale each branch to the margin: see `balance_branches`
