@@ -7,6 +7,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar, get_origin, get_type_hints
 
@@ -77,6 +78,13 @@ def change_config(config: T, overrides: Sequence[str]) -> T:
     Raises UserError as `load_config` does.
     """
     return _overridden(type(config), to_plain(config), overrides)
+
+
+def configs_folder() -> Path:
+    """Folder of the configurations and splits that come with the package."""
+    package = Path(str(files("adafusion")))
+    packaged, checkout = package / "configs", package.parents[1] / "configs"
+    return packaged if packaged.is_dir() else checkout
 
 
 def from_plain(cls: type[T], values: Mapping[str, Any]) -> T:

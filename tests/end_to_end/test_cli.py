@@ -27,6 +27,7 @@ COMMANDS = [
     ["doctor"],
     ["train"],
     ["evaluate"],
+    ["experiment"],
     ["map", "build"],
     ["map", "add"],
     ["map", "info"],

@@ -13,6 +13,7 @@ ROOT = Path(adafusion.__file__).parent
 # A module may import from its own part and from the layers below; parts of one layer are siblings.
 LAYERS: list[set[str]] = [
     {"cli"},
+    {"experiments"},
     {"doctor"},
     {"training", "evaluation", "report"},
     {"mapping"},

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from adafusion.models.resnet import (
     BasicBlock,
     ResNet,
+    Thinned,
     load_imagenet_resnet18,
     read_weights,
     resnet18,
@@ -165,3 +166,17 @@ def test_a_file_that_is_no_weights_is_refused_and_nothing_of_it_runs(
             read_weights(tmp_path / name)
     with pytest.raises(UserError, match="absent"):
         read_weights(tmp_path / "absent.pth")
+
+
+@pytest.mark.parametrize("channels", [4, 8, 16])
+def test_a_thinned_convolution_equals_a_strided_one_and_keeps_to_its_memory(channels: int) -> None:
+    torch.manual_seed(0)
+    plain = nn.Conv2d(channels, 2 * channels, 1, 2, bias=False)
+    thinned = Thinned(channels, 2 * channels, 1, 2, bias=False)
+    thinned.load_state_dict(plain.state_dict())
+    for size in (54, 27):
+        x = torch.rand(16, channels, size, size)
+        assert torch.allclose(thinned(x), plain(x), atol=1e-6)
+        last = x.contiguous(memory_format=torch.channels_last).requires_grad_()
+        thinned(last).square().sum().backward()
+        assert torch.isfinite(last.grad).all()

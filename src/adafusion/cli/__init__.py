@@ -13,7 +13,18 @@ import sys
 
 import typer
 
-from adafusion.cli import data, demo, doctor, evaluation, mapping, model, split, training, world
+from adafusion.cli import (
+    data,
+    demo,
+    doctor,
+    evaluation,
+    experiment,
+    mapping,
+    model,
+    split,
+    training,
+    world,
+)
 
 app = typer.Typer(
     name="adafusion",
@@ -30,6 +41,7 @@ app.command("split")(split.split)
 app.command("doctor")(doctor.doctor)
 app.command("train")(training.train)
 app.command("evaluate")(evaluation.evaluate)
+app.command("experiment")(experiment.experiment)
 app.add_typer(mapping.app, name="map")
 app.command("locate")(mapping.locate)
 app.command("import-released")(model.import_released)

@@ -82,6 +82,16 @@ def open_data(path: Path, cache: Path | None = None) -> Dataset:
     return open_benchmark(name, cache_folder(cache), workers=WORKERS, progress=bar)
 
 
+def named_config(name: str) -> Path:
+    """File of a training's configuration that comes with the package; UserError lists them."""
+    from adafusion.config import configs_folder
+
+    files = {path.stem: path for path in sorted(configs_folder().glob("*.yaml"))}
+    if name not in files:
+        raise UserError(f"no configuration {name!r}: choose from {', '.join(files)}")
+    return files[name]
+
+
 def choose_frames(dataset: Dataset, runs: str | None = None, frames: str = "::") -> list[Frame]:
     """Frames of the runs named (by comma; None: all), of each run those that a slice keeps.
 

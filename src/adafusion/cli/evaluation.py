@@ -32,13 +32,13 @@ class EvaluateConfig:
     region: str
     runs: tuple[str, ...]
     radius_m: float
-    distance: Literal["l1", "l2"] = "l1"  # between descriptors
+    distance: Literal["l1", "l2", "native"] = "native"  # native: what each system is trained by
     seed: int = 0  # of the bootstrap that makes the intervals
 
     @property
-    def p(self) -> int:
-        """The distance as the order of its norm."""
-        return int(self.distance[1])
+    def p(self) -> int | None:
+        """The distance as the order of its norm; None: each model's own."""
+        return None if self.distance == "native" else int(self.distance[1])
 
 
 def evaluate(
@@ -57,8 +57,9 @@ def evaluate(
         float | None, typer.Option(help="A true match is so near; default: the protocol's.")
     ] = None,
     distance: Annotated[
-        Literal["l1", "l2"], typer.Option(help="Distance between descriptors.")
-    ] = "l1",
+        Literal["l1", "l2", "native"],
+        typer.Option(help="Distance between descriptors; native: what each was trained by."),
+    ] = "native",
     seed: Annotated[int, typer.Option(help="Seed of the intervals' bootstrap.", min=0)] = 0,
     cache: Cache = None,
     report: Annotated[bool, typer.Option(help="Write report.html.")] = True,

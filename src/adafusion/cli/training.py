@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from adafusion.cli.common import Cache, bar, cache_folder, open_data, say
+from adafusion.cli.common import Cache, bar, cache_folder, named_config, open_data, say
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from adafusion.datasets import Dataset
     from adafusion.preprocess import Preprocess
     from adafusion.preprocess.cache import PreparedSet
-    from adafusion.training import Step
+    from adafusion.training import Step, TrainConfig
 
 Accelerator = Literal["auto", "cpu", "cuda"]
 Precision = Literal["32-true", "bf16-mixed"]  # 16-mixed scales losses by a state no resume keeps
@@ -35,6 +35,10 @@ def train(
         list[Path],
         typer.Argument(help="What teaches: datasets, or world-v1-small/train."),
     ],
+    model: Annotated[
+        str | None,
+        typer.Option(help="A configuration that comes with the package, by name: see below."),
+    ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML; see `adafusion config show`.")] = None,
     change: Annotated[
         list[str] | None, typer.Option("--set", help="Change a key: --set loss.margin=12.5")
@@ -59,8 +63,13 @@ def train(
     effective configuration), checkpoints, and a TensorBoard log. After a kill, the same command
     with --resume goes on as if nothing had happened.
 
+    --model takes small (adafusion, staged, for two cores), paper, and each compared system at the
+    size of its paper or, with -s, for two cores: netvlad-s, pointnetvlad-s, minkloc-s, coral-s,
+    pic-net-s, oertel-s.
+
     \b
-    Example: adafusion train runs/mine world-v1-small/train --config configs/small.yaml
+    Example: adafusion train runs/mine world-v1-small/train --model small
+    Example: adafusion train runs/minkloc world-v1-small/train --model minkloc-s --set seed=1
     Example: adafusion train runs/mine data/world-1 data/world-2 --config configs/small.yaml
     Example: adafusion train runs/paper data/nclt --config configs/paper.yaml --accelerator cuda
     """
@@ -73,13 +82,17 @@ def train(
     from adafusion.training.loop import MODEL_FILE
     from adafusion.types import UserError
 
-    settings = load_config(TrainConfig, config, change or [])
+    if model is not None and config is not None:
+        raise UserError("give --model or --config: each is a whole configuration")
+    file = config if model is None else named_config(model)
+    settings = load_config(TrainConfig, file, change or [])
     asked = out / "asked.yaml"  # train.yaml holds one phase each
     if asked.exists() and not resume:
         raise UserError(f"{out} holds a training: give --resume to go on, or another folder")
+    folder = cache_folder(cache)
+    settings = with_camera(settings, open_data(datasets[0], folder))
     if asked.exists():
         require_config(asked, settings)
-    folder = cache_folder(cache)
     taught = Corpus.prepare(datasets, settings.model.preprocess, folder)
     rows = taught.rows("train")
     if validation:
@@ -115,6 +128,32 @@ def train(
         best = _watch(phase.name, steps, phase.out)
         (phase.out / DONE).touch()
         print(f"{phase.out / MODEL_FILE}: validation recall@1 {best:.1%}")
+
+
+def with_camera(settings: TrainConfig, dataset: Dataset) -> TrainConfig:
+    """Settings whose elevation map, where there is one, knows the camera of the dataset's rig."""
+    from adafusion.preprocess.elevation import rig_camera
+    from adafusion.types import UserError
+
+    preprocess = settings.model.preprocess
+    if preprocess.lidar != "elevation" or preprocess.elevation.camera is not None:
+        return settings
+    seen = next((frame for frame in dataset.frames if frame.image is not None), None)
+    if seen is None:
+        raise UserError(
+            f"{dataset.root}: {settings.model.system} looks for the map's cells in images"
+        )
+    image = dataset.load(seen).image
+    assert image is not None
+    height, width = image.shape[:2]
+    camera = rig_camera(dataset.info.calibration, (height, width))
+    return replace(
+        settings,
+        model=replace(
+            settings.model,
+            preprocess=replace(preprocess, elevation=replace(preprocess.elevation, camera=camera)),
+        ),
+    )
 
 
 @dataclass(frozen=True)

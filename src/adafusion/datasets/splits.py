@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from adafusion.config import load_config
+from adafusion.config import configs_folder, load_config
 from adafusion.types import UserError
 
 TRAIN = "train"  # the region of every place that no box holds
@@ -127,9 +126,7 @@ def check_boxes(regions: Regions) -> None:
 
 def splits_folder() -> Path:
     """Folder of the splits that come with the package."""
-    package = Path(str(files("adafusion")))
-    packaged, checkout = package / "splits", package.parents[1] / "configs" / "splits"
-    return packaged if packaged.is_dir() else checkout
+    return configs_folder() / "splits"
 
 
 def named_splits() -> dict[str, SplitFile]:

@@ -76,10 +76,12 @@ def judge(
     splits: Sequence[Split],
     cache_dir: str | Path,
     *,
-    p: int = 1,
+    p: int | None = None,
     progress: Progress = silent,
 ) -> list[Judged]:
     """Describe the frames that the splits speak of with every model, and evaluate by Lp.
+
+    `p` None is each model's own: 1 or 2, whichever its system is trained by.
 
     All models answer the same queries from the same database: a frame that lacks a sensor which
     one of them needs is left out for all and counted. Preprocessed frames are kept in `cache_dir`.
@@ -113,7 +115,12 @@ def judge(
         described = describe(model, batches)
         descriptions = Descriptions(*(_spread(part, rows, len(lacks)) for part in described))
         assert descriptions.fused is not None  # every frame has the sensors
-        evaluation = evaluate_splits(descriptions.fused, dataset.positions_m, splits, p=p)
+        evaluation = evaluate_splits(
+            descriptions.fused,
+            dataset.positions_m,
+            splits,
+            p=model.config.p if p is None else p,
+        )
         judged.append(Judged(model, descriptions, evaluation, int(lacks[asked].sum())))
     return judged
 

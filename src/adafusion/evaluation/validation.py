@@ -36,9 +36,9 @@ def validation_recall(
             make_splits("cross-run", [frames[i] for i in here], region, region="validation"),
         )
 
-    def recall(descriptors: Float[np.ndarray, "n d"]) -> float:
+    def recall(descriptors: Float[np.ndarray, "n d"], p: int) -> float:
         values = [
-            evaluate_splits(descriptors[here], positions[here], splits, ks=[1]).recall["AR@1"]
+            evaluate_splits(descriptors[here], positions[here], splits, ks=[1], p=p).recall["AR@1"]
             for here, splits in splits_of.values()
         ]
         return float(np.mean(values))
@@ -46,10 +46,10 @@ def validation_recall(
     def validate(model: PlaceModel) -> dict[str, float]:
         d = describe(model, prepared_batches(data, rows, batch_size=32))
         assert d.fused is not None
-        values = {"recall@1": recall(d.fused)}
+        values = {"recall@1": recall(d.fused, model.config.p)}
         if d.image_half is not None and d.lidar_half is not None:
-            values["image_recall@1"] = recall(d.image_half)
-            values["lidar_recall@1"] = recall(d.lidar_half)
+            values["image_recall@1"] = recall(d.image_half, model.config.p)
+            values["lidar_recall@1"] = recall(d.lidar_half, model.config.p)
         if d.alpha is not None:
             for i, sensor in enumerate(("image", "lidar")):
                 values[f"alpha_{sensor}_mean"] = float(d.alpha[:, i].mean())

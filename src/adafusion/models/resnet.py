@@ -41,13 +41,26 @@ class BasicBlock(nn.Module):
         self.downsample: nn.Sequential | None = None
         if stride != 1 or c_in != c_out:
             self.downsample = nn.Sequential(
-                nn.Conv2d(c_in, c_out, 1, stride, bias=False), nn.BatchNorm2d(c_out)
+                Thinned(c_in, c_out, 1, stride, bias=False), nn.BatchNorm2d(c_out)
             )
 
     def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b out h2 w2"]:
         """Give the sum, without what is negative in it."""
         change = self.bn2(self.conv2(F.relu(self.bn1(self.conv1(x)))))
         return F.relu(change + (x if self.downsample is None else self.downsample(x)))
+
+
+class Thinned(nn.Conv2d):
+    """A 1x1 convolution with a stride, which first takes every so many cells and then convolves.
+
+    The same numbers. With a stride, torch's 1x1 convolution of few channels, laid out channels
+    last, writes beyond its memory on a CPU when gradients are asked for (seen with torch 2.13).
+    """
+
+    def forward(self, input: Float[Tensor, "b c h w"]) -> Float[Tensor, "b out h2 w2"]:
+        """Convolve the cells that are kept."""
+        down, right = self.stride
+        return F.conv2d(input[:, :, ::down, ::right], self.weight, self.bias)
 
 
 def stage(c_in: int, c_out: int, blocks: int, stride: int) -> nn.Sequential:

@@ -7,9 +7,11 @@ from __future__ import annotations
 from adafusion.models.adafusion import AdaFusion
 from adafusion.models.base import PlaceModel
 from adafusion.models.config import ModelConfig
+from adafusion.models.coral import Coral
 from adafusion.models.minkloc import MinkLoc
 from adafusion.models.netvlad import NetVLAD
 from adafusion.models.oertel import Oertel
+from adafusion.models.pic_net import PicNet
 from adafusion.models.pointnetvlad import PointNetVLAD
 
 SYSTEMS: dict[str, type[PlaceModel]] = {
@@ -20,6 +22,8 @@ SYSTEMS: dict[str, type[PlaceModel]] = {
     "netvlad": NetVLAD,
     "pointnetvlad": PointNetVLAD,
     "minkloc": MinkLoc,
+    "coral": Coral,
+    "pic-net": PicNet,
     "oertel": Oertel,
 }
 

@@ -105,11 +105,11 @@ class Preprocess:
 
     def store_lidar(self, points_body: Float[np.ndarray, "n 3"]) -> Shaped[np.ndarray, ...]:
         """What is kept of a cloud on disk: as small as it can be without losing anything."""
+        if self.lidar == "elevation":  # the ground is what it maps
+            return elevation_map(points_body, self.elevation)
         points = remove_ground(points_body, self.ground)
         if self.lidar == "points":
             return sample_points(points, self.points)
-        if self.lidar == "elevation":  # the ground is what it maps
-            return elevation_map(points_body, self.elevation)
         stored = voxelize(points, self.voxels)
         return pack(stored) if self.voxels.occupancy == "binary" else stored
 

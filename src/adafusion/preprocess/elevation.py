@@ -124,9 +124,10 @@ def lift(
     height = settings.lowest_m + (grey.astype(np.float64) - 0.5) * settings.step_m
     where = np.empty((*grey.shape, 3))
     where[..., 0], where[..., 1], where[..., 2] = ahead[:, None], left, height
-    xy = _project(where.reshape(-1, 3), settings.camera, crop).reshape(*grey.shape, 2)
-    seen = (grey != EMPTY) & (height >= settings.seen_from_m) & (np.abs(xy) <= 1.0).all(axis=-1)
-    xy[~seen] = OUTSIDE
+    looked_for = (grey != EMPTY) & (height >= settings.seen_from_m)
+    xy = np.full((*grey.shape, 2), OUTSIDE)
+    xy[looked_for] = _project(where[looked_for], settings.camera, crop)
+    xy[(np.abs(xy) > 1.0).any(axis=-1)] = OUTSIDE
     parts = [grey / 255.0, xy[..., 0], xy[..., 1]]
     return np.stack(parts, axis=1).astype(np.float32)
 

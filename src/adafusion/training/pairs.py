@@ -45,7 +45,7 @@ class Tuples:
     query: Int64[np.ndarray, " t"]
     positive: Int64[np.ndarray, "t p"]
     negative: Int64[np.ndarray, "t n"]
-    other: Int64[np.ndarray, " t"]  # far from the query and from every wrong match
+    other: Int64[np.ndarray, " t"]  # far from the query and, where it can be, from all wrong ones
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,20 +94,12 @@ def _others(
     negative: Int[np.ndarray, "t n"],
     rng: np.random.Generator,
 ) -> Int64[np.ndarray, " t"]:
-    """For each query a frame that is far from it and from all its wrong matches."""
+    """For each query a frame that is far from it and from all, else most, of its wrong matches."""
     order = rng.permutation(len(pairs.positions))
     other = np.empty(len(query), np.int64)
     for row, (q, wrong) in enumerate(zip(query, negative, strict=True)):
-        fits = np.ones(len(order), np.bool_)
-        for frame in (q, *wrong):
-            fits &= is_far(pairs, frame, order)
-        if not fits.any():
-            raise UserError(
-                "no frame is farther than "
-                f"{pairs.d_neg_m:g} m from a query and all its wrong matches: train on a larger "
-                "area, or lower sampling.negatives"
-            )
-        other[row] = order[np.argmax(fits)]
+        fits = np.sum([is_far(pairs, frame, order) for frame in wrong], axis=0)
+        other[row] = order[np.argmax(np.where(is_far(pairs, q, order), fits, -1))]
     return other
 
 

@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command that trains and judges a whole comparison."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from adafusion.cli.common import Cache, bar, cache_folder, open_data, say, split_names
+
+if TYPE_CHECKING:
+    from adafusion.experiments import Job
+
+T = TypeVar("T")
+
+LINE_EVERY_S = 60.0
+
+
+def experiment(
+    name: Annotated[str, typer.Argument(help="headline, table-systems or figure-recall.")],
+    out: Annotated[
+        Path, typer.Option(help="Folder for results; experiments that share it share trainings.")
+    ] = Path("runs/experiments"),
+    world: Annotated[
+        str, typer.Option(help="Named world with the parts train and test.")
+    ] = "world-v1-small",
+    train: Annotated[
+        list[Path] | None,
+        typer.Option(help="Dataset that teaches, with a validation region, in place of --world."),
+    ] = None,
+    test: Annotated[
+        list[Path] | None,
+        typer.Option(help="Dataset to judge by, in its test region, in place of --world."),
+    ] = None,
+    budget: Annotated[
+        int | None,
+        typer.Option(
+            help="Frame passes through each sensor's network of every row; default: the world's.",
+            min=1,
+        ),
+    ] = None,
+    seeds: Annotated[
+        str | None, typer.Option(help="Trainings of each row, by comma; default: its own.")
+    ] = None,
+    rows: Annotated[str | None, typer.Option(help="Only these rows, by comma.")] = None,
+    plan: Annotated[
+        bool, typer.Option("--plan", help="Say what would be trained and what is done; no more.")
+    ] = False,
+    workers: Annotated[
+        int, typer.Option(help="Trainings side by side, each with one thread.", min=1)
+    ] = 1,
+    change: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Change a key of every training: --set augment.color=0"),
+    ] = None,
+    cache: Cache = None,
+) -> None:
+    """Train and judge every row of a comparison on equal budgets, and write its table.
+
+    Writes OUT/NAME.json and OUT/NAME.md, and OUT/NAME.png where there is a figure. What was trained
+    and judged before, by this experiment or another in OUT, is taken as it is; after a kill the
+    same command goes on where it was.
+
+    \b
+    Example: adafusion experiment headline --plan
+    Example: adafusion experiment headline --workers 2
+    Example: adafusion experiment table-systems --rows NetVLAD,AdaFusion --budget 20000
+    Example: adafusion experiment headline --train data/nclt --test data/nclt --out runs/nclt
+    """
+    from adafusion import experiments as e
+    from adafusion.files import make_folder, write_json, write_text
+    from adafusion.types import UserError
+
+    if (train is None) != (test is None):
+        raise UserError("give both --train and --test, or a --world that has both parts")
+    teaches = train or [Path(world) / "train"]
+    judges = test or [Path(world) / "test"]
+    corpus = e.Corpus(tuple(open_data(path, cache) for path in teaches))
+    if budget is None:
+        frames = len(corpus.rows("train"))
+        known = None if train else e.BUDGETS.get(world)
+        budget = known or e.PASSES_A_FRAME * frames
+    recipe = partial(e.packaged_recipe, changes=tuple(change or ()))
+    asked = e.build_experiment(name, recipe, budget)
+    if rows is not None:
+        asked = asked.only(split_names(rows))
+    chosen = asked.seeds if seeds is None else _numbers(seeds)
+    planned = e.plan_jobs(asked, chosen, corpus, out)
+    jobs = e.all_jobs(planned)
+    if plan:
+        print(_plan(jobs, budget))
+        return
+    make_folder(out)
+    exams = tuple(e.ExamData.of(open_data(path, cache)) for path in judges)
+    progress = bar if workers == 1 else lines
+    todo = [job for job in jobs if job.state != "done"]
+    say(f"{name}: {len(jobs)} trainings, {len(jobs) - len(todo)} done before")
+    trained = e.train_jobs(todo, corpus, cache_folder(cache), workers=workers, progress=progress)
+    for count, job in enumerate(trained, 1):
+        say(
+            f"{count} of {len(todo)}: {job.name}, validation recall@1 {job.record()['best']:.1%}, "
+            f"{job.record()['seconds'] / 60:.0f} min"
+        )
+    results = e.measure(
+        asked,
+        planned,
+        corpus,
+        exams,
+        cache_folder(cache),
+        out,
+        passes=budget,
+        seeds=chosen,
+        command=shlex.join(["adafusion", *sys.argv[1:]]),
+        progress=bar,
+    )
+    files = [out / f"{name}.json", out / f"{name}.md"]
+    picture = out / f"{name}.png"
+    if asked.figure:
+        e.draw_recall(results, picture)
+        files.append(picture)
+    text = e.page(results, picture.name if asked.figure else "")
+    write_json(files[0], results)
+    write_text(files[1], text)
+    print(text)
+    print("\n".join(map(str, files)))
+
+
+def lines(items: Iterable[T], *, total: int | None = None, desc: str = "") -> Iterable[T]:
+    """Say now and then how far a job is, in lines that several processes may share a screen by."""
+    last = time.monotonic()
+    for count, item in enumerate(items, 1):
+        yield item
+        if time.monotonic() - last > LINE_EVERY_S:
+            last = time.monotonic()
+            say(f"{desc}: {count} of {total}")
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    from adafusion.types import UserError
+
+    try:
+        numbers = tuple(dict.fromkeys(int(word) for word in split_names(text)))
+    except ValueError:
+        raise UserError(f"--seeds {text!r}: write whole numbers between commas, as 0,1,2") from None
+    if not numbers or min(numbers) < 0:
+        raise UserError(f"--seeds {text!r}: give at least one, none below 0")
+    return numbers
+
+
+def _plan(jobs: Sequence[Job], budget: int) -> str:
+    """What would be trained, what is done, and what it costs."""
+    wide = max(len(job.name) for job in jobs)
+    left = [job for job in jobs if job.state != "done"]
+    shown = [
+        f"{job.name:{wide}}  {job.passes:>10,} passes  {job.config.batches:>7,} batches  "
+        f"{job.state:6}  {job.key}"
+        for job in jobs
+    ]
+    return "\n".join(
+        [
+            *shown,
+            f"{len(left)} of {len(jobs)} trainings to do: "
+            f"{sum(job.passes for job in left):,} of {sum(job.passes for job in jobs):,} frame "
+            f"passes; each sensor's network of every row learns from {budget:,} of them a seed",
+        ]
+    )

@@ -1,0 +1,251 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""The trainings of an experiment: shared by content, resumed where they were killed.
+
+    <out>/trainings/<name>-seed<n>-<key>/   one training; training.json is written when it is done
+    <out>/trainings/.../curve.jsonl         its evaluations so far, a line each
+
+The key is that of the effective configuration, the keys of the trainings it starts from, the data
+and the version of this code. So another experiment, a longer list of seeds or a repeated command
+finds what was trained before.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from filelock import FileLock
+
+from adafusion.config import to_plain
+from adafusion.evaluation import validation_recall
+from adafusion.experiments.corpus import Corpus
+from adafusion.experiments.plan import Experiment, Training
+from adafusion.files import fingerprint, write_json
+from adafusion.provenance import git_commit, software_versions
+from adafusion.training import TrainConfig, train
+from adafusion.training.checkpoint import STATE_FILE
+from adafusion.training.loop import MODEL_FILE, SELECTED_BY
+from adafusion.types import Progress, silent
+from adafusion.workers import map_in_processes
+
+log = logging.getLogger(__name__)
+
+TRAINING_VERSION = 1  # raise it when an equal configuration comes to train to other weights
+EVALUATIONS = 8  # on validation, of each training, beside that before its first batch
+RECORD_FILE, CURVE_FILE = "training.json", "curve.jsonl"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One training with everything decided."""
+
+    name: str
+    key: str
+    config: TrainConfig
+    passes: int  # planned
+    sources: tuple[Job, ...]
+    folder: Path
+
+    @property
+    def model(self) -> Path:
+        """The file that it writes."""
+        return self.folder / MODEL_FILE
+
+    @property
+    def depth(self) -> int:
+        """How many trainings must be done before, one after the other."""
+        return 1 + max((source.depth for source in self.sources), default=-1)
+
+    @property
+    def state(self) -> str:
+        """ "done", "begun" or "to do"."""
+        if (self.folder / RECORD_FILE).exists():
+            return "done"
+        return "begun" if (self.folder / STATE_FILE).exists() else "to do"
+
+    def record(self) -> dict[str, Any]:
+        """What training.json says of it."""
+        return json.loads((self.folder / RECORD_FILE).read_text(encoding="utf-8"))
+
+    def chain(self) -> Iterator[Job]:
+        """All trainings that lead to this one, and this one last."""
+        for source in self.sources:
+            yield from source.chain()
+        yield self
+
+
+Rows = Mapping[str, tuple[Job, ...]]  # by label, one job a seed
+
+
+def plan_jobs(experiment: Experiment, seeds: Sequence[int], corpus: Corpus, out: Path) -> Rows:
+    """Decide every training of the rows."""
+    out = out.resolve()  # a training keeps the paths that it starts from
+    batches: dict[tuple[object, int], int] = {}
+
+    def job(training: Training, seed: int) -> Job:
+        sources = tuple(job(source, seed) for source in training.starts_from)
+        budget = (training.config.sampling, training.passes)
+        if budget not in batches:
+            batches[budget] = corpus.batches(*budget)
+        config = replace(
+            training.config,
+            seed=seed,
+            batches=batches[budget],
+            evaluate_every=-(-batches[budget] // EVALUATIONS),
+            init=tuple(str(source.model) for source in sources),
+            schedule="joint",  # the plan is the schedule
+        )
+        named = to_plain(replace(config, init=tuple(source.key for source in sources)))
+        key = fingerprint(
+            f"training {TRAINING_VERSION}", json.dumps(named, sort_keys=True), corpus.fingerprint
+        )
+        return Job(
+            name=f"{training.name}, seed {seed}",
+            key=key,
+            config=config,
+            passes=training.passes,
+            sources=sources,
+            folder=out / "trainings" / f"{training.name}-seed{seed}-{key}",
+        )
+
+    return {row.label: tuple(job(row.training, seed) for seed in seeds) for row in experiment.rows}
+
+
+def all_jobs(rows: Rows) -> list[Job]:
+    """Every training of the rows once, sources first and the longest of equals first."""
+    found = {job.key: job for jobs in rows.values() for last in jobs for job in last.chain()}
+    return sorted(found.values(), key=lambda job: (job.depth, -job.passes, job.name))
+
+
+def train_jobs(
+    jobs: Sequence[Job],
+    corpus: Corpus,
+    cache: Path,
+    *,
+    workers: int = 1,
+    progress: Progress = silent,
+) -> Iterator[Job]:
+    """Train what is not done, yielding each training as it is.
+
+    One worker trains with all threads; several train side by side, each with one thread.
+    """
+    todo = [job for job in jobs if job.state != "done"]
+    for settings in dict.fromkeys(job.config.model.preprocess for job in todo):
+        corpus.prepare(settings, cache, progress)  # not by two workers at once
+    work = _Work(tuple(dataset.root for dataset in corpus.datasets), cache, progress)
+    start = torch.set_num_threads if workers > 1 else None
+    arguments = (1,) if workers > 1 else ()
+    for depth in sorted({job.depth for job in todo}):  # sources before what starts from them
+        wave = [job for job in todo if job.depth == depth]
+        yield from map_in_processes(work, wave, workers, start=start, arguments=arguments)
+
+
+@dataclass(frozen=True)
+class _Work:
+    """`train_job` with what every process needs for it."""
+
+    roots: tuple[Path, ...]
+    cache: Path
+    progress: Progress
+
+    def __call__(self, job: Job) -> Job:
+        train_job(job, Corpus.open(self.roots), self.cache, self.progress)
+        return job
+
+
+def train_job(job: Job, corpus: Corpus, cache: Path, progress: Progress = silent) -> None:
+    """Train one job to its end, from where it was; another process at the same job is awaited."""
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(job.folder / "lock"):
+        if job.state != "done":
+            _train(job, corpus, cache, progress)
+
+
+def _train(job: Job, corpus: Corpus, cache: Path, progress: Progress) -> None:
+    data = corpus.prepare(job.config.model.preprocess, cache)
+    rows, judges = corpus.rows("train"), corpus.rows("validation")
+    curve = job.folder / CURVE_FILE
+    assert job.config.batches is not None  # the plan sets it
+    batches = job.config.batches
+    resume = job.state == "begun"
+    if not resume:
+        curve.unlink(missing_ok=True)  # of a start that came to no checkpoint
+    steps = train(
+        job.config,
+        data,
+        rows,
+        validation_recall(data, judges),
+        job.folder,
+        points=corpus.points if job.config.augment.jitter_m else None,
+        resume=resume,
+        card={"data": corpus.facts(), "commit": git_commit(), "versions": software_versions()},
+    )
+    # a new training yields a step before its first batch
+    left = batches - _state(job)["done"] if resume else batches + 1
+    began = time.perf_counter()
+    for step in progress(steps, total=left, desc=job.name):
+        if step.validation is None:
+            continue
+        now = time.perf_counter()
+        line = {"batch": step.batch, "seconds": round(now - began, 1), **step.validation}
+        began = now
+        with curve.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+        log.info("%s, batch %d: %s", job.name, step.batch, line)
+    evaluations = [json.loads(line) for line in curve.read_text(encoding="utf-8").splitlines()]
+    state = _state(job)
+    mining = job.config.sampling.mining
+    write_json(
+        job.folder / RECORD_FILE,
+        {
+            "name": job.name,
+            "key": job.key,
+            "config": to_plain(job.config),
+            "data": corpus.facts(),
+            "batches": batches,
+            "frame_passes": int(state["passes"]),
+            "mining_passes": 0 if mining is None else len(rows) * mining.times(batches - 1),
+            "validation_passes": len(judges) * len(evaluations),
+            "best": float(state["best"]),
+            "curve": evaluations,
+            "seconds": round(sum(line["seconds"] for line in evaluations), 1),
+            "threads": torch.get_num_threads(),
+            "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
+            "software": software_versions(),
+            "commit": git_commit(),
+        },
+    )
+
+
+def _state(job: Job) -> dict[str, Any]:
+    """What the last checkpoint says of a training."""
+    return torch.load(job.folder / STATE_FILE, map_location="cpu", weights_only=True)
+
+
+def row_curve(jobs: Sequence[Job]) -> list[float]:
+    """Validation recall@1 of a row over its training, the mean over its seeds.
+
+    Of the trainings in its chain those count whose model is the row's own: a branch at another
+    image size, or alone, has a recall of another kind.
+    """
+    curves = []
+    for last in jobs:
+        own = [job for job in last.chain() if job.config.model == last.config.model]
+        curves.append([line[SELECTED_BY] for job in own for line in job.record()["curve"]])
+    length = min(map(len, curves))
+    return [sum(curve[i] for curve in curves) / len(curves) for i in range(length)]
+
+
+def passes_of(job: Job, count: Callable[[Job], int]) -> dict[str, int]:
+    """A count of frame passes over a row's chain, through the network of each sensor."""
+    return {
+        sensor: sum(count(one) for one in job.chain() if sensor in one.config.model.sensors)
+        for sensor in job.config.model.sensors
+    }

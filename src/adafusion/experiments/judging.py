@@ -1,0 +1,213 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""What each trained row answers on the test worlds, kept by content.
+
+<out>/evaluations/<model>-<data>-<protocol>-<version>.json   a result record with every answer
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Int64, Shaped
+
+from adafusion.config import to_plain
+from adafusion.datasets import Dataset
+from adafusion.evaluation import (
+    Evaluation,
+    dataset_splits,
+    evaluate_splits,
+    result_record,
+    summarize_alpha,
+)
+from adafusion.evaluation.evaluate import BLOCK_M
+from adafusion.evaluation.metrics import place_blocks
+from adafusion.experiments.verdict import Asked
+from adafusion.files import write_json
+from adafusion.models import PlaceModel, describe, load_model, prepared_batches
+from adafusion.preprocess.cache import prepare_cache
+from adafusion.types import SENSORS, Descriptions, Progress, Split, UserError, lacking, silent
+
+EVALUATION_VERSION = 1  # raise it when equal models and data come to give other answers
+INTERVAL_SEED = 0
+BATCH = 32
+
+# what tells pairs of runs apart, by words in the runs' names
+CONDITIONS = ("night", "dusk", "rain", "snow", "fog")
+OPPOSITE, PLAIN = "opposite directions", "none of these"
+
+
+@dataclass(frozen=True)
+class ExamData:
+    """A test dataset without the frames that lack a sensor: all rows answer the same queries."""
+
+    dataset: Dataset
+    num_left_out: int
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> ExamData:
+        """Leave out what is not complete; UserError where that is all."""
+        whole = tuple(frame for frame in dataset.frames if not lacking(frame, SENSORS))
+        if not whole:
+            raise UserError(f"{dataset.root}: no frame has both an image and a cloud")
+        left_out = len(dataset.frames) - len(whole)
+        return cls(replace(dataset, frames=whole) if left_out else dataset, left_out)
+
+    def splits(self, protocol: str) -> list[Split]:
+        """The protocol, written out."""
+        return dataset_splits(self.dataset, protocol)
+
+
+@dataclass(frozen=True, eq=False)
+class Questions:
+    """All queries of a protocol over the test worlds, in the order in which answers are kept."""
+
+    asked: Asked
+    zone: Shaped[np.ndarray, " q"]  # "" where the source names none
+    kinds: tuple[frozenset[str], ...]  # of each split
+
+    def groups(self) -> dict[str, Shaped[np.ndarray, " q"]]:
+        """Masks of the queries by kind of run pair and by zone, beside all of them."""
+        groups = {"all pairs": np.ones(len(self.zone), np.bool_)}
+        for kind in (*(f"with {word}" for word in CONDITIONS), OPPOSITE, PLAIN):
+            chosen = np.array([kind in kinds for kinds in self.kinds], np.bool_)
+            groups[kind] = chosen[self.asked.split]
+        for zone in sorted(set(self.zone.tolist()) - {""}):
+            groups[f"zone {zone}"] = self.zone == zone
+        told_apart = {name: m for name, m in groups.items() if m.any() and not m.all()}
+        return {"all pairs": groups["all pairs"], **told_apart}
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """Of each query the rank of its best true match, 0 where none may answer; and N of 1 %."""
+
+    first_hit: Int64[np.ndarray, " q"]
+    one_percent: Int64[np.ndarray, " q"]
+
+    def hits(self, n: int | None) -> Int64[np.ndarray, " q"]:
+        """1 where a true match is among the first n; None: among the first 1 %."""
+        limit = self.one_percent if n is None else n
+        return ((self.first_hit > 0) & (self.first_hit <= limit)).astype(np.int64)
+
+
+def ask(worlds: Sequence[ExamData], protocol: str) -> Questions:
+    """Number splits, blocks and worlds of all queries."""
+    split, block, world, zone = [], [], [], []
+    kinds: list[frozenset[str]] = []
+    num_blocks = 0
+    for w, test in enumerate(worlds):
+        splits = test.splits(protocol)
+        rows = np.concatenate([one.query_rows for one in splits])
+        here = place_blocks(test.dataset.positions_m[rows, :2], BLOCK_M)
+        lengths = [len(one.query_rows) for one in splits]
+        split.append(np.repeat(len(kinds) + np.arange(len(splits)), lengths))
+        block.append(num_blocks + here)
+        world.append(np.full(len(rows), w))
+        zone += [test.dataset.frames[row].zone or "" for row in rows]
+        kinds += [pair_kinds(one.name) for one in splits]
+        num_blocks += int(here.max()) + 1
+    asked = Asked(*(np.concatenate(part).astype(np.int64) for part in (split, block, world)))
+    return Questions(asked, np.array(zone), tuple(kinds))
+
+
+def pair_kinds(split_name: str) -> frozenset[str]:
+    """What tells a pair of runs apart, by the runs' names: "day->night-reverse"."""
+    runs = re.split(r"->|\+", split_name)
+    kinds = {f"with {word}" for word in CONDITIONS if any(word in run for run in runs)}
+    if len({"reverse" in run for run in runs}) > 1:
+        kinds.add(OPPOSITE)
+    return frozenset(kinds or {PLAIN})
+
+
+def evaluate_model(
+    name: str,
+    file: Path,
+    worlds: Sequence[ExamData],
+    protocols: Sequence[str],
+    cache: Path,
+    out: Path,
+    progress: Progress = silent,
+) -> dict[str, list[dict[str, Any]]]:
+    """Result records of a model by protocol, one a world; described once, and only if need be."""
+    model = load_model(file, "cuda" if torch.cuda.is_available() else "cpu")
+    model.name = name
+    records: dict[str, list[dict[str, Any]]] = {protocol: [] for protocol in protocols}
+    for test in worlds:
+        described: Descriptions | None = None
+        for protocol in protocols:
+            stem = (model.fingerprint, test.dataset.fingerprint, protocol, EVALUATION_VERSION)
+            path = out / "evaluations" / f"{'-'.join(map(str, stem))}.json"
+            if not path.exists():
+                if described is None:
+                    described = _describe(model, test.dataset, cache, progress)
+                write_json(path, _record(model, test, described, protocol))
+            records[protocol].append(json.loads(path.read_text(encoding="utf-8")))
+    return records
+
+
+def answers(records: Sequence[Mapping[str, Any]]) -> Answers:
+    """The answers that the records of one model hold, world after world."""
+    first_hit, one_percent = [], []
+    for record in records:
+        for split, said in zip(record["splits"], record["first_hits"], strict=True):
+            ranks = np.array(said.split(), np.int64)
+            first_hit.append(ranks)
+            one_percent.append(np.full(len(ranks), split["one_percent"], np.int64))
+    return Answers(np.concatenate(first_hit), np.concatenate(one_percent))
+
+
+def _describe(model: PlaceModel, dataset: Dataset, cache: Path, progress: Progress) -> Descriptions:
+    prepared = prepare_cache(dataset, model.config.preprocess, cache, progress=progress)
+    rows = np.arange(len(dataset.frames))
+    batches = progress(
+        prepared_batches(prepared, rows, BATCH),
+        total=-(-len(rows) // BATCH),
+        desc=f"describing by {model.name}",
+    )
+    return describe(model, batches)
+
+
+def _record(
+    model: PlaceModel, test: ExamData, described: Descriptions, protocol: str
+) -> dict[str, object]:
+    dataset = test.dataset
+    assert described.fused is not None  # every frame has the sensors
+    evaluation: Evaluation = evaluate_splits(
+        described.fused, dataset.positions_m, test.splits(protocol), p=model.config.p
+    )
+    alpha = None
+    if described.alpha is not None:
+        zones = [frame.zone for frame in dataset.frames]
+        by_zone = summarize_alpha(described.alpha) | summarize_alpha(described.alpha, zones)
+        alpha = {name: asdict(summary) for name, summary in by_zone.items()}
+    record = result_record(
+        evaluation,
+        model={
+            "name": model.name,
+            "fingerprint": model.fingerprint,
+            "preprocess_fingerprint": model.preprocess_fingerprint,
+            "config": to_plain(model.config),
+            "parameters": sum(p.numel() for p in model.parameters()),
+            "alpha": alpha,
+        },
+        data={
+            "name": dataset.info.name,
+            "version": dataset.info.version,
+            "synthetic": dataset.info.synthetic,
+            "fingerprint": dataset.fingerprint,
+            "runs": list(dataset.runs),
+            "frames": len(dataset.frames),
+            "left_out_for_lack_of_a_sensor": test.num_left_out,
+        },
+        seed=INTERVAL_SEED,
+    )
+    ranks = [" ".join(map(str, result.first_hit.tolist())) for result in evaluation.results]
+    return {**record, "first_hits": ranks}  # of each split's queries, in their order

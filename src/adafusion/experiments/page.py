@@ -1,0 +1,192 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Markdown page of an experiment, from its results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from adafusion.types import Estimate
+
+NOT_RANKED = "not converged"
+
+
+def ranking(rows: Sequence[Mapping[str, Any]], protocol: str) -> list[Mapping[str, Any]]:
+    """Converged rows by recall@1, best first; then the others as they come."""
+    done = [row for row in rows if row["converged"]]
+    done.sort(key=lambda row: -row["recall"][protocol]["AR@1"]["value"])
+    return [*done, *(row for row in rows if not row["converged"])]
+
+
+def page(results: Mapping[str, Any], picture: str = "") -> str:
+    """Write the page; `picture` is the name of a file beside it."""
+    seeds = results["seeds"]
+    exploratory = " Exploratory: one seed." if len(seeds) == 1 else ""
+    data = results["test_data"]
+    synthetic = "SYNTHETIC data: " if any(one["synthetic"] for one in data) else "Data: "
+    software = results["software"]
+    lines = [
+        f"# {results['experiment']}, {results['date']}",
+        "",
+        results["words"] + exploratory,
+        "",
+        f"`{results['command']}`, commit {results['commit']}.",
+        "",
+        synthetic
+        + "trained on "
+        + ", ".join(f"{d['name']} {d['version']} ({d['fingerprint']})" for d in _of(results))
+        + "; judged on "
+        + ", ".join(
+            f"{d['name']} {d['version']} ({d['fingerprint']}, {d['frames']} frames in "
+            f"{len(d['runs'])} runs, {d['left_out_for_lack_of_a_sensor']} left out for lack of a "
+            "sensor)"
+            for d in data
+        )
+        + ".",
+        "",
+        f"Machine: {software['platform']}, {results['machine']['processors']} processors, "
+        f"{results['machine']['device']}; Python {software['python']}, torch {software['torch']}. "
+        f"Seeds {', '.join(map(str, seeds))}. Budget: {results['budget']:,} frame passes through "
+        f"each sensor's network of every row and seed. The trainings took "
+        f"{results['training_seconds'] / 3600:.1f} h, added up.",
+        "",
+        *_table(results),
+        "",
+        "Recall in percent, with 95 % intervals from a bootstrap over 50 m blocks of places"
+        + (" and over seeds" if len(seeds) > 1 else "")
+        + f" ({results['draws']} draws). A row whose validation recall@1 still rose in the last "
+        "quarter of its evaluations, by more than the 95 % half-width of "
+        f'{results["validation_answers"]} answers, is marked "{NOT_RANKED}", stands below the '
+        "others in no order and has no verdict. The paper's numbers are its own, on Oxford "
+        "RobotCar under several protocols: they compare with nothing here.",
+        "",
+        *(f"- {name}: {words}" for name, words in results["protocols"].items()),
+        *_apart(results["rows"]),
+        *_alpha(results["rows"]),
+        *_verdicts(results),
+        *_gains(results),
+    ]
+    if picture:
+        lines += ["", f"![Recall over the number of candidates]({picture})"]
+    return "\n".join(lines) + "\n"
+
+
+def _of(results: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    return results["training_data"]
+
+
+def _table(results: Mapping[str, Any]) -> list[str]:
+    protocols = list(results["protocols"])
+    rows = ranking(results["rows"], protocols[0])
+    measured = [(p, m) for p in protocols for m in ("AR@1", "AR@1%")]
+    head = ["system", "parameters", "passes, image / LiDAR"]
+    head += [f"{p} {m}" for p, m in measured]
+    head += [f"{protocols[0]} AR@1 by seed", "paper, Oxford AR@1 / AR@1%"]
+    ranked = [row for row in rows if row["converged"]]
+    best = {
+        (p, m): max((row["recall"][p][m]["value"] for row in ranked), default=None)
+        for p, m in measured
+    }
+    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    for row in rows:
+        marks = ["reconstruction"] * row["reconstruction"]
+        marks += [NOT_RANKED] * (not row["converged"])
+        cells = [row["label"] + (f" ({', '.join(marks)})" if marks else "")]
+        cells.append(f"{row['parameters']:,}")
+        passes = row["frame_passes"]
+        cells.append(
+            " / ".join(f"{passes[s]:,}" if s in passes else "-" for s in ("image", "lidar"))
+        )
+        for p, m in measured:
+            cell = _estimate(row["recall"][p][m]).in_percent()
+            is_best = row["converged"] and row["recall"][p][m]["value"] == best[p, m]
+            cells.append(f"**{cell}**" if is_best else cell)
+        cells.append(", ".join(f"{100 * value:.1f}" for value in row["recall@1_by_seed"]))
+        cells.append(_published(row["published_oxford_percent"]))
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def _published(numbers: Mapping[str, float | None] | None) -> str:
+    if numbers is None:
+        return "-"
+    return " / ".join(
+        "-" if value is None else f"{value:.2f}"
+        for value in (numbers["at_1"], numbers["at_1_percent"])
+    )
+
+
+def _apart(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Passes that taught nothing, reported apart from the budget."""
+    return [
+        "",
+        "Frame passes beside the budget, of one seed: "
+        + "; ".join(
+            f"{row['label']} {row['validation_passes']:,} for validation"
+            + (f", {row['mining_passes']:,} for mining" if row["mining_passes"] else "")
+            for row in rows
+        )
+        + ".",
+    ]
+
+
+def _alpha(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    lines = []
+    for row in rows:
+        if weights := [alpha["all"] for alpha in row["alpha"] if alpha]:
+            said = ", ".join(
+                f"{w['mean'][0]:.2f} / {w['mean'][1]:.2f} (spread {w['std'][0]:.3f} / "
+                f"{w['std'][1]:.3f})"
+                for w in weights
+            )
+            lines += ["", f"Mean weights of {row['label']}, image / LiDAR, by seed: {said}."]
+    return lines
+
+
+def _verdicts(results: Mapping[str, Any]) -> list[str]:
+    verdicts = results["verdicts"]
+    if not verdicts:
+        return []
+    protocol = next(iter(results["protocols"]))
+    others = list(dict.fromkeys(v["against"] for v in verdicts))
+    said = {(v["group"], v["against"]): v for v in verdicts}
+    judged = verdicts[0]["row"]
+    lines = [
+        "",
+        f"## {judged} against the others",
+        "",
+        f"Difference of recall@1 in points under {protocol}, paired by place and by seed, with the "
+        "interval that the verdict rests on: above or below where it leaves 0 out, else undecided. "
+        "The first line answers the question; each of the others errs in one case of twenty.",
+        "",
+        "| queries | number | " + " | ".join(f"minus {other}" for other in others) + " |",
+        "|---|---" + "|---" * len(others) + "|",
+    ]
+    for group in dict.fromkeys(v["group"] for v in verdicts):
+        row = [said[group, other] for other in others]
+        cells = [f"{_estimate(v['difference']).in_percent('+')} {v['verdict']}" for v in row]
+        lines.append(f"| {group} | {row[0]['queries']} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def _gains(results: Mapping[str, Any]) -> list[str]:
+    if not results["gains"]:
+        return []
+    lines = ["", "## Is the gain larger at small N?", ""]
+    shown = ("AR@1", "AR@5", "AR@10", "AR@25")
+    lines += [
+        "| gain over | " + " | ".join(shown) + " | gain at 1 minus gain at 25 |",
+        "|---" * (len(shown) + 2) + "|",
+    ]
+    for other, gain in results["gains"].items():
+        cells = [_estimate(gain["at"][name]).in_percent("+") for name in shown]
+        more = gain["first_minus_last"]
+        cells.append(f"{_estimate(more['difference']).in_percent('+')} {more['verdict']}")
+        lines.append(f"| {other} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def _estimate(value: Mapping[str, Any]) -> Estimate:
+    interval = value["interval"]
+    return Estimate(value["value"], None if interval is None else (interval[0], interval[1]))

@@ -1,0 +1,226 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""From trained rows to the numbers of a table, as plain values that JSON can hold."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from adafusion.evaluation import describe_protocol
+from adafusion.experiments.convergence import half_width, still_rising
+from adafusion.experiments.corpus import Corpus
+from adafusion.experiments.jobs import Job, Rows, all_jobs, passes_of, row_curve
+from adafusion.experiments.judging import (
+    Answers,
+    ExamData,
+    Questions,
+    answers,
+    ask,
+    evaluate_model,
+)
+from adafusion.experiments.plan import Experiment, Row
+from adafusion.experiments.verdict import DRAWS, Asked, Verdict, estimate, judge_difference
+from adafusion.provenance import git_commit, software_versions
+from adafusion.types import Estimate, Progress, silent
+
+SCHEMA = 1
+KS = range(1, 26)
+TABLE = ("AR@1", "AR@5", "AR@1%")
+
+Values = Callable[[Answers], np.ndarray]
+
+
+def measure(
+    experiment: Experiment,
+    rows: Rows,
+    corpus: Corpus,
+    exams: Sequence[ExamData],
+    cache: Path,
+    out: Path,
+    *,
+    passes: int,
+    seeds: Sequence[int],
+    command: str,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Evaluate every trained row that is not yet evaluated, and put the results together."""
+    protocols = experiment.protocols
+    questions = {protocol: ask(exams, protocol) for protocol in protocols}
+    num_answers = corpus.validation_answers()
+    table: list[dict[str, Any]] = []
+    said: dict[str, tuple[Answers, ...]] = {}  # under the first protocol
+    data: list[Any] = []
+    for row in experiment.rows:
+        jobs = rows[row.label]
+        records = [
+            evaluate_model(job.name, job.model, exams, protocols, cache, out, progress)
+            for job in jobs
+        ]
+        given = {p: tuple(answers(record[p]) for record in records) for p in protocols}
+        said[row.label] = given[protocols[0]]
+        data = [record["data"] for record in records[0][protocols[0]]]
+        first = records[0][protocols[0]][0]
+        recall = {
+            protocol: {
+                name: asdict(_recall(given[protocol], questions[protocol], values))
+                for name, values in _measures(protocol == protocols[0]).items()
+            }
+            for protocol in protocols
+        }
+        by_seed = [
+            float(np.mean([world["recall"]["AR@1"]["value"] for world in record[protocols[0]]]))
+            for record in records
+        ]
+        table.append(
+            {
+                **_row(row, jobs, num_answers),
+                "parameters": first["model"]["parameters"],
+                "models": [record[protocols[0]][0]["model"]["fingerprint"] for record in records],
+                "alpha": [record[protocols[0]][0]["model"]["alpha"] for record in records],
+                "recall": recall,
+                "recall@1_by_seed": by_seed,
+            }
+        )
+    converged = {row["label"] for row in table if row["converged"]}
+    first_questions = questions[protocols[0]]
+    return {
+        "schema": SCHEMA,
+        "experiment": experiment.name,
+        "words": experiment.words,
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "command": command,
+        "commit": git_commit(),
+        "software": software_versions(),
+        "machine": {
+            "processors": os.cpu_count(),
+            "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
+        },
+        "seeds": list(seeds),
+        "budget": passes,
+        "training_seconds": sum(job.record()["seconds"] for job in all_jobs(rows)),
+        "training_data": corpus.facts(),
+        "test_data": data,
+        "validation_answers": num_answers,
+        "protocols": {protocol: describe_protocol(protocol) for protocol in protocols},
+        "draws": DRAWS,
+        "rows": table,
+        "verdicts": _verdicts(experiment.judged, said, first_questions, converged),
+        "gains": _gains(experiment, said, first_questions, converged),
+    }
+
+
+def _measures(is_first: bool) -> dict[str, Values]:
+    """What is measured under a protocol: recall at every N under the first, else the table's."""
+    every = {f"AR@{k}": _within(k) for k in KS} | {"AR@1%": _within(None)}
+    return every if is_first else {name: every[name] for name in TABLE}
+
+
+def _within(n: int | None) -> Values:
+    return lambda said: said.hits(n)
+
+
+def _recall(seeds: Sequence[Answers], questions: Questions, values: Values) -> Estimate:
+    asked, answerable = _answerable(seeds, questions)
+    found = estimate(np.stack([values(one)[answerable] for one in seeds]), asked)
+    if found.interval is None:
+        return found
+    low, high = found.interval  # widened ones may leave what a recall can be
+    return Estimate(found.value, (max(low, 0.0), min(high, 1.0)))
+
+
+def _answerable(seeds: Sequence[Answers], questions: Questions) -> tuple[Asked, np.ndarray]:
+    answerable = seeds[0].first_hit > 0
+    return questions.asked.where(answerable), answerable
+
+
+def _row(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
+    """What the table says of a row's training; counts of passes are those of one seed."""
+    records = {job.key: job.record() for job in jobs[0].chain()}
+    curve = row_curve(jobs)
+    return {
+        "label": row.label,
+        "system": jobs[0].config.model.system,
+        "reconstruction": row.reconstruction,
+        "published_oxford_percent": None if row.published is None else asdict(row.published),
+        "trainings": [[one.key for one in job.chain()] for job in jobs],
+        "frame_passes": passes_of(jobs[0], lambda job: records[job.key]["frame_passes"]),
+        "mining_passes": sum(record["mining_passes"] for record in records.values()),
+        "validation_passes": sum(record["validation_passes"] for record in records.values()),
+        "converged": not still_rising(curve, num_answers),
+        "validation_curve": curve,
+        "rising_by_more_than": half_width(max(curve), num_answers),
+    }
+
+
+def _verdicts(
+    judged: str,
+    said: Mapping[str, tuple[Answers, ...]],
+    questions: Questions,
+    converged: set[str],
+) -> list[dict[str, Any]]:
+    """The judged row against every other: over all pairs of runs, by kind of pair, by zone."""
+    if judged not in said:
+        return []
+    asked, answerable = _answerable(said[judged], questions)
+    right = {label: np.stack([one.hits(1)[answerable] for one in s]) for label, s in said.items()}
+    verdicts = []
+    for other in (label for label in said if label != judged):
+        for group, mask in questions.groups().items():
+            chosen = mask[answerable]
+            if not chosen.any():
+                continue
+            verdict = judge_difference(
+                right[judged][:, chosen], right[other][:, chosen], asked.where(chosen)
+            )
+            ranked = {judged, other} <= converged
+            verdicts.append(
+                {"row": judged, "against": other, "group": group, **_plain(verdict, ranked)}
+            )
+    return verdicts
+
+
+def _plain(verdict: Verdict, ranked: bool) -> dict[str, Any]:
+    return {
+        "verdict": verdict.word if ranked else "not ranked",
+        "difference": asdict(verdict.difference),
+        "by_seed": list(verdict.by_seed),
+        "queries": verdict.num_queries,
+    }
+
+
+def _gains(
+    experiment: Experiment,
+    said: Mapping[str, tuple[Answers, ...]],
+    questions: Questions,
+    converged: set[str],
+) -> dict[str, Any]:
+    """What the judged row gains at every N, and by how much more at N = 1 than at the largest."""
+    judged = experiment.judged
+    if judged not in said or not experiment.figure:
+        return {}
+    asked, answerable = _answerable(said[judged], questions)
+    gains = {}
+    for other in (label for label in said if label != judged):
+        gain = {
+            n: np.stack(
+                [
+                    (a.hits(n) - b.hits(n))[answerable]
+                    for a, b in zip(said[judged], said[other], strict=True)
+                ]
+            )
+            for n in KS
+        }
+        more = judge_difference(gain[1], gain[max(KS)], asked)
+        gains[other] = {
+            "at": {f"AR@{n}": asdict(estimate(values, asked)) for n, values in gain.items()},
+            "first_minus_last": _plain(more, {judged, other} <= converged),
+        }
+    return gains

@@ -1,0 +1,240 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""A comparison as one command, on tiny worlds with tiny models."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adafusion.datasets import Dataset
+from adafusion.evaluation import dataset_splits, evaluate_splits
+from adafusion.experiments import (
+    Corpus,
+    ExamData,
+    Job,
+    all_jobs,
+    build_experiment,
+    packaged_recipe,
+    plan_jobs,
+    train_jobs,
+)
+from adafusion.experiments.judging import answers, ask, evaluate_model
+from adafusion.models import load_model
+from adafusion.training.sampler import Sampler
+from adafusion.training.settings import Mining, Sampling
+from adafusion.types import UserError
+
+BUDGET = 400
+TINY = (
+    "model.width=0.125",
+    "model.dim=16",
+    "model.preprocess.image.size=[48,64]",
+    "model.preprocess.voxels.shape=[16,16,8]",
+    "sampling.places=4",
+)
+SMALL = [word for change in TINY for word in ("--set", change)]
+
+
+@pytest.fixture
+def corpus(tiny_world: Dataset) -> Corpus:
+    return Corpus((tiny_world,))
+
+
+@pytest.fixture
+def branch(corpus: Corpus, tmp_path: Path):
+    """The LiDAR branch of the headline, planned into a folder."""
+
+    def plan(out: str, seed: int = 0, changes: tuple[str, ...] = TINY) -> Job:
+        recipe = partial(packaged_recipe, changes=changes)
+        rows = build_experiment("headline", recipe, BUDGET).only(["L"])
+        return all_jobs(plan_jobs(rows, [seed], corpus, tmp_path / out))[0]
+
+    return plan
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the tests below leave their trainings to one another."""
+    return tmp_path_factory.mktemp("experiments")
+
+
+def test_the_headline_on_a_named_world_and_again_and_another_from_the_same_trainings(
+    type_in, done: Path
+) -> None:
+    words = ["--world", "world-v1-tiny", "--budget", BUDGET, "--seeds", "0,1", *SMALL]
+    words += ["--out", done, "--rows", "L,VL,AdaFusion"]
+    said = type_in("experiment", "headline", *words)
+    assert said.code == 0, said.err
+    results = json.loads((done / "headline.json").read_text())
+    page = (done / "headline.md").read_text()
+    assert page in said.out
+    assert "SYNTHETIC data" in page
+    assert results["seeds"] == [0, 1]
+    assert results["budget"] == BUDGET
+    rows = {row["label"]: row for row in results["rows"]}
+    for row in rows.values():
+        assert set(row["recall"]) == {"cross-run", "union", "pointnetvlad"}
+        for passes in row["frame_passes"].values():
+            assert passes == pytest.approx(BUDGET, rel=0.1)
+    assert rows["VL"]["trainings"][0][:-1] == rows["AdaFusion"]["trainings"][0][:-1]
+    assert {v["against"] for v in results["verdicts"]} == {"L", "VL"}
+    assert {"all pairs", "with night", "opposite directions"} <= {
+        v["group"] for v in results["verdicts"]
+    }
+
+    before = {path: path.stat().st_mtime_ns for path in done.rglob("*.safetensors")}
+    said = type_in("experiment", "figure-recall", *words)
+    assert said.code == 0, said.err
+    assert {path: path.stat().st_mtime_ns for path in done.rglob("*.safetensors")} == before
+    figure = json.loads((done / "figure-recall.json").read_text())
+    assert (done / "figure-recall.png").stat().st_size > 10_000
+    assert len(figure["gains"]["VL"]["at"]) == 25
+    again = {row["label"]: row["recall"]["cross-run"]["AR@1"] for row in figure["rows"]}
+    assert again == {label: row["recall"]["cross-run"]["AR@1"] for label, row in rows.items()}
+
+    said = type_in("experiment", "headline", *words, "--plan")
+    assert "0 of 14 trainings to do: 0 of " in said.out
+
+
+def test_own_data_takes_the_place_of_a_world(type_in, tiny_world: Dataset, tmp_path: Path) -> None:
+    words = ["--train", tiny_world.root, "--test", tiny_world.root, "--out", tmp_path, *SMALL]
+    said = type_in("experiment", "headline", *words, "--plan")
+    assert said.code == 0, said.err
+    frames = len(Corpus((tiny_world,)).rows("train"))
+    assert f"learns from {40 * frames:,} of them" in said.out
+    assert not any(tmp_path.iterdir())  # a plan leaves nothing behind
+    words += ["--rows", "L", "--seeds", 0, "--budget", 100]
+    said = type_in("experiment", "headline", *words)
+    assert said.code == 0, said.err
+    assert "Exploratory: one seed." in (tmp_path / "headline.md").read_text()
+
+
+def test_a_killed_training_goes_on_and_two_side_by_side_do_as_one(
+    branch, corpus: Corpus, cache: Path, cut_off, contents
+) -> None:
+    killed, whole = branch("killed"), branch("whole")
+    with pytest.raises(KeyboardInterrupt):
+        list(train_jobs([killed], corpus, cache, progress=cut_off(20)))
+    assert killed.state == "begun"
+    list(train_jobs([killed], corpus, cache))
+    list(train_jobs([whole], corpus, cache))
+    assert killed.state == "done"
+    assert load_model(killed.model).fingerprint == load_model(whole.model).fingerprint
+    both = [
+        [{k: v for k, v in line.items() if k != "seconds"} for line in job.record()["curve"]]
+        for job in (killed, whole)
+    ]
+    assert both[0] == both[1]
+    assert killed.record()["frame_passes"] == whole.record()["frame_passes"]
+
+    pair = [branch("pair", seed=seed) for seed in (0, 1)]
+    names = [job.name for job in train_jobs(pair, corpus, cache, workers=2)]
+    assert names == [job.name for job in pair]
+    assert {job.record()["threads"] for job in pair} == {1}
+
+
+def test_a_training_is_known_by_its_content_wherever_it_lies(branch) -> None:
+    assert branch("a").key == branch("b").key
+    assert branch("a").key != branch("a", seed=1).key
+    assert branch("a").key != branch("a", changes=(*TINY, "augment.color=0")).key
+
+
+@pytest.mark.parametrize(
+    "sampling",
+    [
+        Sampling(mode="batch", places=4),
+        Sampling(mode="pairs", items=4, mining=Mining(after=5, candidates=30, hardest=4)),
+        Sampling(mode="tuples", positives=1, negatives=4, mining=Mining(after=5, candidates=30)),
+    ],
+    ids=lambda sampling: sampling.mode,
+)
+def test_a_budget_is_spent_whatever_a_batch_holds(
+    corpus: Corpus, tiny_world: Dataset, sampling: Sampling
+) -> None:
+    batches = corpus.batches(sampling, 900)
+    rows = corpus.rows("train")
+    sampler = Sampler(sampling, corpus._unread, rows, seed=3)
+    rng = np.random.default_rng(1)
+    passes = 0
+    for number, batch in enumerate(sampler.batches(0, batches), 1):
+        passes += len(batch.rows)
+        if sampling.mining is not None and sampling.mining.is_due(number):
+            sampler.described = rng.standard_normal((len(rows), 8)).astype(np.float32)
+    assert passes == pytest.approx(900, rel=0.1)
+
+
+def test_answers_are_kept_and_are_those_of_the_evaluation(
+    branch, corpus: Corpus, tiny_world: Dataset, cache: Path, tmp_path: Path
+) -> None:
+    job = branch("kept")
+    list(train_jobs([job], corpus, cache))
+    exam = ExamData.of(tiny_world)
+    found = [
+        evaluate_model(job.name, job.model, [exam], ["cross-run"], cache, tmp_path)["cross-run"]
+        for _ in range(2)
+    ]
+    assert found[0] == found[1]
+    assert len(list((tmp_path / "evaluations").iterdir())) == 1
+    said, questions = answers(found[0]), ask([exam], "cross-run")
+    assert len(said.first_hit) == len(questions.zone)
+    answerable = said.first_hit > 0
+    recall = [
+        said.hits(1)[answerable & (questions.asked.split == split)].mean()
+        for split in range(len(questions.kinds))
+    ]
+    assert np.mean(recall) == pytest.approx(found[0][0]["recall"]["AR@1"]["value"])
+    nothing = np.zeros((len(tiny_world.frames), 1), np.float32)
+    splits = dataset_splits(tiny_world, "cross-run")
+    same = evaluate_splits(nothing, tiny_world.positions_m, splits)
+    assert answerable.sum() == same.answerable.sum()
+
+
+def test_frames_without_a_sensor_are_left_out_for_all_rows(
+    tiny_world: Dataset, tmp_path: Path
+) -> None:
+    from dataclasses import replace
+
+    first, *others = tiny_world.frames
+    poor = replace(tiny_world, frames=(replace(first, cloud=None), *others))
+    exam = ExamData.of(poor)
+    assert (exam.num_left_out, len(exam.dataset.frames)) == (1, len(others))
+    assert first.key not in {frame.key for frame in exam.dataset.frames}
+
+
+@pytest.mark.parametrize(
+    ("words", "remedy"),
+    [
+        (["nothing"], "headline, table-systems, figure-recall"),
+        (["headline", "--rows", "W"], "choose from V, L, VL, AdaFusion"),
+        (["headline", "--seeds", "a"], "whole numbers"),
+        (["headline", "--seeds", "-1"], "none below 0"),
+    ],
+)
+def test_what_is_asked_wrongly_is_answered_with_the_remedy(
+    type_in, tiny_world: Dataset, tmp_path: Path, words: list[str], remedy: str
+) -> None:
+    data = ["--train", tiny_world.root, "--test", tiny_world.root, "--out", tmp_path]
+    said = type_in("experiment", *words, *data)
+    assert (said.code, remedy in said.err) == (2, True), said.err
+    said = type_in("experiment", *words, *data[:2])
+    assert "give both --train and --test" in said.err
+
+
+def test_data_without_a_validation_region_is_sent_to_be_split(
+    tiny_world: Dataset, tmp_path: Path
+) -> None:
+    folder = tmp_path / "whole"
+    shutil.copytree(tiny_world.root, folder)
+    import yaml
+
+    path = folder / "dataset.yaml"
+    info = yaml.safe_load(path.read_text())
+    path.write_text(yaml.safe_dump({**info, "regions": {}}))
+    with pytest.raises(UserError, match="adafusion split"):
+        Corpus.open([folder]).rows("validation")

@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""Experiments as data: equal budgets, shared trainings."""
+
+from __future__ import annotations
+
+import pytest
+
+from adafusion.experiments.judging import pair_kinds
+from adafusion.experiments.plan import (
+    EXPERIMENTS,
+    Experiment,
+    build_experiment,
+    packaged_recipe,
+)
+from adafusion.types import UserError
+
+BUDGET = 10_001  # that no share divides
+
+
+@pytest.fixture(params=sorted(EXPERIMENTS))
+def experiment(request: pytest.FixtureRequest) -> Experiment:
+    return build_experiment(request.param, packaged_recipe, BUDGET)
+
+
+def test_every_row_has_the_same_passes_through_each_of_its_networks(
+    experiment: Experiment,
+) -> None:
+    for row in experiment.rows:
+        chain = list(row.training.chain())
+        for sensor in row.training.config.model.sensors:
+            spent = sum(one.passes for one in chain if sensor in one.config.model.sensors)
+            assert spent == BUDGET, f"{row.label}, {sensor}"
+
+
+def test_the_fused_rows_start_from_the_branches_that_go_on_alone() -> None:
+    rows = {
+        row.label: row.training
+        for row in build_experiment("headline", packaged_recipe, BUDGET).rows
+    }
+    assert rows["VL"].starts_from == rows["AdaFusion"].starts_from
+    assert rows["VL"].starts_from == rows["V"].starts_from + rows["L"].starts_from
+    assert len({training.passes for training in rows.values()}) == 1
+    assert not {"image", "lidar"} - {rows[label].config.model.system for label in "VL"}
+
+
+def test_all_systems_of_the_comparison_have_a_row_and_reconstructions_say_so() -> None:
+    experiment = build_experiment("table-systems", packaged_recipe, BUDGET)
+    assert [row.label for row in experiment.rows] == [
+        "NetVLAD",
+        "PointNetVLAD",
+        "Oertel et al.",
+        "PIC-Net",
+        "MinkLoc++",
+        "CORAL",
+        "VL-concat",
+        "AdaFusion",
+    ]
+    guesses = {row.label for row in experiment.rows if row.reconstruction}
+    assert guesses == {"Oertel et al.", "PIC-Net"}
+    assert all(row.published is not None for row in experiment.rows)
+
+
+def test_rows_are_chosen_by_label_and_a_wrong_one_is_answered_with_the_choices() -> None:
+    experiment = build_experiment("headline", packaged_recipe, BUDGET)
+    assert [row.label for row in experiment.only(["vl", "AdaFusion", "VL"]).rows] == [
+        "VL",
+        "AdaFusion",
+    ]
+    with pytest.raises(UserError, match="choose from V, L, VL, AdaFusion"):
+        experiment.only(["W"])
+    with pytest.raises(UserError, match="headline, table-systems, figure-recall"):
+        build_experiment("nothing", packaged_recipe, BUDGET)
+
+
+@pytest.mark.parametrize(
+    ("name", "kinds"),
+    [
+        ("day->night", {"with night"}),
+        ("rain->night-reverse-2", {"with night", "with rain", "opposite directions"}),
+        ("dusk-reverse->night-reverse", {"with night", "with dusk"}),
+        ("day+autumn", {"none of these"}),
+    ],
+)
+def test_pairs_of_runs_are_told_apart_by_their_names(name: str, kinds: set[str]) -> None:
+    assert pair_kinds(name) == kinds
