@@ -8,16 +8,17 @@ import shlex
 import sys
 import time
 from collections.abc import Iterable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
 from adafusion.cli.common import Cache, bar, cache_folder, open_data, say, split_names
+from adafusion.cli.training import with_camera
 
 if TYPE_CHECKING:
     from adafusion.experiments import Job
+    from adafusion.training import TrainConfig
 
 T = TypeVar("T")
 
@@ -88,7 +89,11 @@ def experiment(
         frames = len(corpus.rows("train"))
         known = None if train else e.BUDGETS.get(world)
         budget = known or e.PASSES_A_FRAME * frames
-    recipe = partial(e.packaged_recipe, changes=tuple(change or ()))
+
+    def recipe(training: str) -> TrainConfig:
+        settings = e.packaged_recipe(training, tuple(change or ()))
+        return with_camera(settings, corpus.datasets[0])
+
     asked = e.build_experiment(name, recipe, budget)
     if rows is not None:
         asked = asked.only(split_names(rows))

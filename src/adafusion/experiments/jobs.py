@@ -3,7 +3,7 @@
 """The trainings of an experiment: shared by content, resumed where they were killed.
 
     <out>/trainings/<name>-seed<n>-<key>/   one training; training.json is written when it is done
-    <out>/trainings/.../curve.jsonl         its evaluations so far, a line each
+    <out>/trainings/.../curve.json          its evaluations so far
 
 The key is that of the effective configuration, the keys of the trainings it starts from, the data
 and the version of this code. So another experiment, a longer list of seeds or a repeated command
@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 
 TRAINING_VERSION = 1  # raise it when an equal configuration comes to train to other weights
 EVALUATIONS = 8  # on validation, of each training, beside that before its first batch
-RECORD_FILE, CURVE_FILE = "training.json", "curve.jsonl"
+RECORD_FILE, CURVE_FILE = "training.json", "curve.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,8 +175,8 @@ def _train(job: Job, corpus: Corpus, cache: Path, progress: Progress) -> None:
     assert job.config.batches is not None  # the plan sets it
     batches = job.config.batches
     resume = job.state == "begun"
-    if not resume:
-        curve.unlink(missing_ok=True)  # of a start that came to no checkpoint
+    # what a start that came to no checkpoint left is none of this training's
+    evaluations = json.loads(curve.read_text(encoding="utf-8")) if resume else []
     steps = train(
         job.config,
         data,
@@ -196,10 +196,9 @@ def _train(job: Job, corpus: Corpus, cache: Path, progress: Progress) -> None:
         now = time.perf_counter()
         line = {"batch": step.batch, "seconds": round(now - began, 1), **step.validation}
         began = now
-        with curve.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+        evaluations.append(line)
+        write_json(curve, evaluations)
         log.info("%s, batch %d: %s", job.name, step.batch, line)
-    evaluations = [json.loads(line) for line in curve.read_text(encoding="utf-8").splitlines()]
     state = _state(job)
     mining = job.config.sampling.mining
     write_json(

@@ -12,10 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from importlib.resources import files
-from pathlib import Path
 
-from adafusion.config import load_config
+from adafusion.config import configs_folder, load_config
 from adafusion.models.config import System
 from adafusion.training import TrainConfig
 from adafusion.types import UserError
@@ -166,11 +164,8 @@ def build_experiment(name: str, recipe: Recipe, passes: int) -> Experiment:
 
 
 def packaged_recipe(name: str, changes: tuple[str, ...] = ()) -> TrainConfig:
-    """Read a training of configs/, with keys changed as `train --set` does."""
-    package = Path(str(files("adafusion")))
-    packaged, checkout = package / "configs", package.parents[1] / "configs"
-    folder = packaged if packaged.is_dir() else checkout
-    return load_config(TrainConfig, folder / f"{name}.yaml", changes)
+    """Read a training that comes with the package, with keys changed as `train --set` does."""
+    return load_config(TrainConfig, configs_folder() / f"{name}.yaml", changes)
 
 
 def _staged_rows(recipe: Recipe, passes: int) -> tuple[Row, Row, Row, Row]:
