@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""`adafusion prepare`, as a person uses it: guesses, is killed, meets damage, is told what to do."""
+"""`adafusion prepare` as a person uses it: guesses, is killed, meets damage, says what to do."""
 
 from __future__ import annotations
 
