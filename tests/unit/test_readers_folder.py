@@ -154,10 +154,13 @@ def test_it_keeps_a_frame_every_so_many_metres(tmp_path: Path) -> None:
 
 def test_it_says_when_a_world_is_synthetic(tmp_path: Path) -> None:
     src = save_run(tmp_path / "src", ["0", "1"], kitti(2))
+    real = read(src, poses=src / "poses.txt").info
+    assert str(src / "poses.txt") in real.source
     (src / "manifest.json").write_text('{"synthetic": true}')
-    info = read(src).info
+    info = read(src, poses=src / "poses.txt").info
     assert info.synthetic
     assert info.name == "synthetic world in folder layout"
+    assert info.source.endswith(real.source)  # with all its settings
 
 
 # ------------------------------------------------------------------------------------------- names
@@ -511,6 +514,19 @@ def test_it_puts_latitudes_into_one_utm_zone(tmp_path: Path) -> None:
     save_run(tmp_path / "src" / "zoo", ["0", "1"], kitti(2))
     with pytest.raises(UserError, match="only some runs have latitudes"):
         read(tmp_path / "src")
+
+
+@pytest.mark.parametrize(
+    "rotation", ["yaw_deg", "heading", "qx,qy,qz,qw"], ids=["yaw", "heading", "quaternion"]
+)
+def test_headings_from_true_north_become_those_of_the_grid(tmp_path: Path, rotation: str) -> None:
+    # at the edge of zone 32 the grid's north is 2.2 degrees from true north
+    north = {"yaw_deg": "90", "heading": "0"}.get(rotation, f"0,0,{np.sqrt(0.5)},{np.sqrt(0.5)}")
+    rows = [f"{49.0 + 1e-4 * k},11.9,{north}" for k in range(3)]
+    T = poses_of(tmp_path, "\n".join([f"lat,lon,{rotation}", *rows, ""])).T_world_body
+    way = T[2, :3, 3] - T[0, :3, 3]
+    assert abs(way[0]) > 0.5
+    np.testing.assert_allclose(T[1, :3, 0], way / np.linalg.norm(way), atol=1e-6)
 
 
 def test_utm_has_its_false_origin_on_the_equator() -> None:

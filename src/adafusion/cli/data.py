@@ -171,9 +171,10 @@ def prepare(
     from adafusion.readers import prepare as run
 
     if list_topics:
+        from adafusion.readers import READERS
         from adafusion.readers.bag.reader import describe_topics
 
-        print(describe_topics(paths[-1]))
+        print(describe_topics(paths[1] if paths[0] in READERS and len(paths) > 1 else paths[0]))
         return
     if len(paths) not in (2, 3):
         raise UserError("give [KIND] SRC OUT: the data, and the folder of the new dataset")

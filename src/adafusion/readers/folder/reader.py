@@ -123,7 +123,7 @@ def read(
         name="folder",
         version="1",
         source=f"folder: camera {camera or 'found'}, lidar {lidar or 'found'}, "
-        f"{lidar_height_m:g} m up, poses {Path(poses).name if poses else 'found'}; image and cloud "
+        f"{lidar_height_m:g} m up, poses {poses or 'found'}; image and cloud "
         f"within {slop_ms:g} ms, every {every_m:g} m, distortion {list(known.distortion)}",
         licence="as its source",
         synthetic=False,
