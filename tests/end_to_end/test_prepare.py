@@ -54,7 +54,7 @@ def damaged(site: Path, tmp_path: Path) -> Path:
 def test_it_guesses_the_format_and_says_what_it_did(type_in, site: Path, tmp_path: Path) -> None:
     said = type_in("prepare", str(site), str(tmp_path / "out"), "--every-m", "10")
     assert said.code == 0
-    assert f"{tmp_path / 'out'}: 15 frames in 1 runs" in said.out
+    assert f"{tmp_path / 'out'}: 15 frames in 1 run\n" in said.out
     assert "frames/s; of the work " in said.err
     assert len(open_dataset(tmp_path / "out").frames) == 15
 

@@ -185,7 +185,7 @@ def test_a_world_that_no_split_is_for_is_told_so(type_in, tmp_path: Path) -> Non
         writer.add_written(Frame(run="a", timestamp_us=1, position_m=(0.0, 0.0, 0.0)))
     said = type_in("split", tmp_path / "mine", "--check")
     assert said.code == 0
-    assert "cut one by --auto or --box" in said.err
+    assert "cut others by --auto or --box" in said.err
     assert "train frames" in said.out
     assert re.search(r"nearest train to test frame +none", said.out)
     picture = tmp_path / "map.png"

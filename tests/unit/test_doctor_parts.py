@@ -17,10 +17,7 @@ from adafusion.doctor.checks_extrinsics import camera_pose
 from adafusion.doctor.checks_files import same_files
 from adafusion.doctor.checks_places import positives
 from adafusion.doctor.looks import choose_rows, ground_height_m
-try:
-    from adafusion.doctor.page import bar_edges
-except ImportError:
-    bar_edges = None
+from adafusion.doctor.page import bar_edges
 from adafusion.doctor.table import Table
 from adafusion.geometry import pose, rotation_from_rpy
 from adafusion.types import Frame

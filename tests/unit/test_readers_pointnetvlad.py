@@ -109,7 +109,7 @@ def test_frames_have_the_submaps_time_and_place(benchmark: Path, tmp_path: Path)
     np.testing.assert_array_equal(dataset.load(second).points_body[0], (-0.5, 0.25, -0.125))
     assert dataset.world == "UTM zone 30N"
     assert dataset.info.synthetic is False
-    assert "1 is not a metre" in dataset.info.conventions["cloud_unit"]
+    assert dataset.info.sensors["cloud_unit"].startswith("normalised: 1 is not a metre")
     assert dataset.info.conventions["image"] == "RGB, not undistorted"
     assert "no images" in dataset.info.source
 

@@ -17,6 +17,7 @@ from adafusion.types import Frame, UserError
 
 if TYPE_CHECKING:
     from adafusion.datasets import Dataset
+    from adafusion.models import AdaFusion
 
 T = TypeVar("T")
 
@@ -80,6 +81,18 @@ def open_data(path: Path, cache: Path | None = None) -> Dataset:
         parts = [known for known in names() if known.startswith(f"{name}/")]
         raise UserError(f"{name} has parts: choose from {', '.join(parts)}")
     return open_benchmark(name, cache_folder(cache), workers=WORKERS, progress=bar)
+
+
+def check_unit(dataset: Dataset, model: AdaFusion) -> None:
+    """UserError where the clouds are in no metres and the model looks at a box of many metres."""
+    unit = str(dataset.info.sensors.get("cloud_unit", "metres"))
+    if model.config.system == "image":
+        return
+    if unit.startswith("normalised") and max(model.config.preprocess.voxels.upper_m) > 2.0:
+        raise UserError(
+            f"{dataset.root}: clouds are {unit}, and model {model.name!r} looks at metres: train "
+            "one on such clouds, as configs/paper-oxford.yaml does"
+        )
 
 
 def choose_frames(dataset: Dataset, runs: str | None = None, frames: str = "::") -> list[Frame]:

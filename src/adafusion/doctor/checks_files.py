@@ -44,6 +44,8 @@ def sensors(table: Table) -> Finding:
     rows = np.flatnonzero(np.logical_or.reduce(list(lacking.values())))
     words = ", ".join(f"{count} have no {name}" for name, count in n_lacking.items())
     runs = [run for run, _ in by_run(table, rows)]
+    # of frames that have the one or the other, as where sensors miss each other in time
+    some = not (lacking["image"].all() or lacking["cloud"].all())
     return Finding(
         check=check,
         level="warn",
@@ -51,7 +53,10 @@ def sensors(table: Table) -> Finding:
         why="Training and evaluation of a fused model leave out frames that lack a sensor; checks "
         "of axes need the orientation.",
         remedy="Prepare with a larger --slop-ms if sensors only miss each other in time; else leave"
-        " it: a map takes such frames.",
+        " it: a map takes such frames."
+        if some
+        else f"Where there is no {'camera' if lacking['image'].all() else 'LiDAR'}, take a model of"
+        f" the other sensor: --model {'lidar-s' if lacking['image'].all() else 'image-s'}.",
         frames=examples(table, rows),
     )
 

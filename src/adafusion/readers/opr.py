@@ -42,7 +42,7 @@ from adafusion.datasets.sensor_files import check_points, damaged, read_bytes
 from adafusion.datasets.writer import check_run_name
 from adafusion.geometry import pose, rotation_from_rpy
 from adafusion.readers.manifest import mark_synthetic
-from adafusion.readers.pointnetvlad import UNITS, read_submap
+from adafusion.readers.pointnetvlad import CLOUD_UNIT, UNITS, read_submap
 from adafusion.readers.runs import choose_runs, files_by_stamp, number, whole
 from adafusion.readers.sensors import T_ENU_NED, T_FLU_FRD, encoded_image
 from adafusion.readers.text import path_inside, read_records
@@ -61,6 +61,7 @@ class _Set(NamedTuple):
     lidars: dict[str, tuple[str, tuple[str, ...]]]  # folder of clouds, and the tables of it
     world: str
     licence: str
+    sensors: dict[str, str]
     conventions: dict[str, str]
 
 
@@ -71,6 +72,7 @@ SETS = {
         lidars={"velodyne": ("velodyne_data", TABLES)},
         world="NCLT local ENU",
         licence="ODbL 1.0",
+        sensors={},
         conventions={"image": "RGB, undistorted, centre crop 768 x 960, resized to 256 x 320"},
     ),
     "oxford": _Set(
@@ -82,6 +84,7 @@ SETS = {
         },
         world="UTM zone 30N",
         licence="CC BY-NC-SA 4.0",
+        sensors={"cloud_unit": CLOUD_UNIT},
         conventions=UNITS,
     ),
 }
@@ -317,6 +320,7 @@ def _describe(src: Path, kind: str, settings: str) -> DatasetInfo:
         licence=which.licence,
         synthetic=False,
         world=which.world,
+        sensors=which.sensors,
         conventions={**CONVENTIONS, **which.conventions},
     )
     return mark_synthetic(info, src, same_world=False)

@@ -77,9 +77,9 @@ LAYOUTS = {
 
 UNITS = {  # conventions of submaps, where they depart
     "body": "x forward, y left, z up; the origin is the mean of the points",
-    "cloud_unit": "normalised: 1 is not a metre, and differs from submap to submap",
     "image": "RGB, not undistorted",
 }
+CLOUD_UNIT = "normalised: 1 is not a metre, and differs from submap to submap"
 
 
 def recognises(src: Path) -> bool:
@@ -311,6 +311,9 @@ def _describe(layout: _Layout, settings: str) -> DatasetInfo:
         licence="CC BY-NC-SA 4.0 (RobotCar)" if oxford else "as the benchmark's authors grant it",
         synthetic=False,
         world="UTM zone 30N" if oxford else "PointNetVLAD in-house",
-        sensors={"lidar": f"{POINTS} points of some {layout.length_m} m of travel, no road"},
+        sensors={
+            "lidar": f"{POINTS} points of some {layout.length_m} m of travel, no road",
+            "cloud_unit": CLOUD_UNIT,
+        },
         conventions={**CONVENTIONS, **UNITS},
     )
