@@ -65,9 +65,8 @@ def test_a_wrong_height_of_the_lidar_is_told_either_way(
     shutil.copytree(drive.root, spoilt)
     for path in spoilt.glob("*/clouds/*.npy"):
         np.save(path, np.load(path) + np.float32([0.0, 0.0, wrong_m]))
-    (ground,) = (
-        f for f in examine(open_dataset(spoilt), samples=8).findings if f.check == "ground"
-    )
+    findings = examine(open_dataset(spoilt), samples=8).findings
+    (ground,) = (finding for finding in findings if finding.check == "ground")
     assert (ground.level, remedy in ground.remedy) == (level, True)
     height_m = float(ground.what.split()[3])
     assert height_m == pytest.approx(wrong_m, abs=0.1)

@@ -323,7 +323,7 @@ FAULTS: dict[str, Fault] = {
         told={"ground": "warn"}, cloud=lambda row, points: points - (0, 0, 0.6)
     ),
     "the LiDAR's height is 0.6 m too large": Fault(
-        told={"ground": "warn"}, cloud=lambda row, points: points + (0, 0, 0.6)
+        told={"ground": "warn"}, cloud=lambda row, points: points - (0, 0, -0.6)
     ),
     "the LiDAR's height is 0.15 m too small": Fault(  # nearly as much as slopes do
         told={}, cloud=lambda row, points: points - (0, 0, 0.15)

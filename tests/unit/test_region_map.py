@@ -71,9 +71,7 @@ def test_boxes_far_from_the_route_do_not_make_it_small() -> None:
 
 @pytest.mark.parametrize("ways", [STRAIGHT, {"a": STRAIGHT["a"][:, ::-1]}])
 def test_a_long_title_stays_in_the_picture(ways: dict[str, np.ndarray]) -> None:
-    title = (
-        "some-dataset: cut: test 0.3, validation 0.1 in blocks of 100 m, guard 25 m, seed 0; " * 2
-    )
+    title = "some-dataset: cut: test 0.3, validation 0.1 in blocks of 100 m, guard 25 m; " * 2
     figure = plots.region_map(ways, {}, title=title)
     figure.savefig(io.BytesIO(), dpi=100)  # lays it out
     (words,) = [text for text in figure.findobj(Text) if text.get_text().startswith("some")]

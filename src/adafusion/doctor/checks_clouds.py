@@ -98,7 +98,8 @@ def scale(table: Table, rows: Int[np.ndarray, " n"], clouds: Sequence[CloudLook]
         why="These are no metres in the body frame: the voxel box (metres) holds one cell of such a"
         " cloud, or none.",
         remedy="Scaled into [-1, 1]: multiply by the metres of the scale, or say sensors: "
-        "{cloud_unit: normalised} in dataset.yaml. Millimetres: divide. World coordinates: take off the pose.",
+        "{cloud_unit: normalised} in dataset.yaml. Millimetres: divide. World coordinates: take "
+        "off the pose.",
         frames=examples(table, rows),
     )
 
@@ -113,7 +114,7 @@ def ground(table: Table, rows: Int[np.ndarray, " n"], clouds: Sequence[CloudLook
     run = max(known, key=lambda r: abs(known[r]))
     own = rows[table.run[rows] == table.runs.index(run)]
     level = judge(abs(known[run]), warn=GROUND_WARN_M, fail=GROUND_FAIL_M)
-    what = f"at z = {known[run]:+.2f} m in {run}, median over its frames"
+    what = f"at z = {round(known[run], 2) + 0.0:+.2f} m in {run}, median over its frames"
     if hangs := _hanging(table, rows, clouds):
         return Finding(
             check=check,
