@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +16,7 @@ from adafusion.cli import main
 from adafusion.datasets import Dataset
 from adafusion.models import ModelConfig
 from adafusion.preprocess import ImageSettings, Preprocess, VoxelGrid
+from adafusion.sim.exports import export
 from adafusion.sim.simulate import simulate
 from adafusion.types import Progress
 
@@ -23,6 +26,20 @@ def tiny_world(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Two runs of a world nobody trains on elsewhere, cut into regions."""
     out = tmp_path_factory.mktemp("world") / "tiny"
     return simulate(out, seed=5, runs=["day", "night"], profile="tiny")
+
+
+@pytest.fixture(scope="session")
+def export_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Export a world, which nobody changes; the same wishes again give the same folder."""
+    made: dict[str, Path] = {}
+
+    def once(kind: str, **wishes: Any) -> Path:
+        key = json.dumps([kind, wishes], sort_keys=True)
+        if key not in made:
+            made[key] = export(kind, tmp_path_factory.mktemp("export") / kind, **wishes)
+        return made[key]
+
+    return once
 
 
 @pytest.fixture(scope="session")

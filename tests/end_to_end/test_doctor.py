@@ -21,8 +21,11 @@ def test_a_simulated_set_is_clean_and_the_page_is_written(
     said = type_in("doctor", tiny_world.root, "--html", page, "--samples", 20)
     assert said.code == 0, said.out
     assert "0 fail, 0 warn" in said.out
+    verdicts = [line for line in said.out.splitlines() if line[:6].rstrip() in ("ok", "-")]
+    numbers = [int(word) for word in said.out.splitlines()[-1].split() if word.isdigit()]
+    assert sum(numbers) == len(verdicts), "every line is counted"
     assert "(synthetic)" in said.out
-    assert max(map(len, said.out.splitlines())) <= 100
+    assert max(map(len, said.out.splitlines()[1:])) <= 100  # the first names the folder
     assert str(page) in said.err
     assert "<svg" in page.read_text()
     assert contents(tiny_world.root) == before
@@ -46,6 +49,16 @@ def test_a_failure_is_explained_and_the_exit_code_is_1(
     (failed,) = [f for f in answer["findings"] if f["level"] == "fail"]
     assert failed["check"] == "cloud scale"
     assert failed["frames"]
+
+
+def test_submaps_without_a_scale_are_sound(type_in, export_once, tmp_path: Path) -> None:
+    src = export_once("pointnetvlad", seed=3, runs=["day"], profile="tiny", places=2)
+    assert type_in("prepare", "pointnetvlad", src, tmp_path / "out").code == 0
+    said = type_in("doctor", tmp_path / "out", "--json")
+    assert said.code == 0, said.out
+    levels = {f["check"]: f["level"] for f in json.loads(said.out)["findings"]}
+    assert "fail" not in levels.values()
+    assert {levels[check] for check in ("cloud scale", "ground", "voxel grid")} == {"skip"}
 
 
 def test_what_is_no_dataset_exits_with_2(type_in, tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from adafusion.datasets.native import Dataset
 from adafusion.datasets.recording import write_recording
 from adafusion.preprocess import Preprocess, VoxelGrid
 from adafusion.readers.pointnetvlad import read, read_submap, recognises
-from adafusion.sim.exports import export
 from adafusion.sim.exports.pointnetvlad import encode_points, make_submap
 
 WISHES = {"seed": 3, "runs": ["day"], "profile": "tiny", "places": 2}
@@ -23,9 +22,8 @@ SLOP_MS = 3000.0  # the export has one picture about every 10 m
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp("exports")
-    return {kind: export(kind, folder / kind, **WISHES) for kind in ("pointnetvlad", "robotcar")}
+def exported(export_once) -> dict[str, Path]:
+    return {kind: export_once(kind, **WISHES) for kind in ("pointnetvlad", "robotcar")}
 
 
 @pytest.fixture(scope="module")

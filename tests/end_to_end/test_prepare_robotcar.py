@@ -85,7 +85,7 @@ def test_poses_are_those_of_the_drive(
 
 
 def test_points_are_the_fans_where_they_were_traced(prepared: Dataset, studio: Studio) -> None:
-    for frame in prepared.frames:
+    for frame in {frame.run: frame for frame in prepared.frames}.values():
         sweep = Sweep(studio, frame.run)
         points = transform(frame.T_world_body, prepared.load(frame).points_body.astype(float))
         first = int(np.searchsorted(sweep.time_us, frame.timestamp_us))

@@ -27,9 +27,8 @@ WISHES = {"seed": 3, "runs": ["day"], "profile": "tiny", "places": 2}
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    folder = tmp_path_factory.mktemp("exports")
-    return {kind: export(kind, folder / kind, **WISHES) for kind in EXPORTS}
+def exported(export_once) -> dict[str, Path]:
+    return {kind: export_once(kind, **WISHES) for kind in EXPORTS}
 
 
 @pytest.fixture(scope="module")

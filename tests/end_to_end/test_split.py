@@ -155,7 +155,8 @@ def test_a_split_of_ones_own_is_a_file(type_in, oxford: Dataset, tmp_path: Path)
         (["--box", "test=0,0,1,1"], "no frame of .* lies in the test boxes"),
         (["--auto", "--test", "1.5"], "share of 1.5"),
         (["--auto", "--block-m", "0"], "blocks of 0 m"),
-        (["--auto", "--buffer-m", "2000"], "none of .* blocks"),
+        (["--auto", "--buffer-m", "2000"], "validation: none of .* blocks.* --validation 0"),
+        (["--box", "test=20,0,0,30"], "XMIN must be below XMAX"),
         (["--auto", "--plot", "map.txt"], "ends in .png, .svg, .pdf"),
     ],
 )
@@ -183,5 +184,12 @@ def test_a_world_that_no_split_is_for_is_told_so(type_in, tmp_path: Path) -> Non
     with DatasetWriter(tmp_path / "mine", info) as writer:
         writer.add_written(Frame(run="a", timestamp_us=1, position_m=(0.0, 0.0, 0.0)))
     said = type_in("split", tmp_path / "mine", "--check")
-    assert said.code == 2
-    assert "cut one by --auto or --box" in said.err
+    assert said.code == 0
+    assert "cut others by --auto or --box" in said.err
+    assert "train frames" in said.out
+    assert re.search(r"nearest train to test frame +none", said.out)
+    picture = tmp_path / "map.png"
+    said = type_in("split", tmp_path / "mine", "--check", "--plot", picture)
+    assert said.code == 0, said.err
+    assert "no split that comes with the package is for" in " ".join(said.err.split())
+    assert cv2.imread(str(picture)) is not None

@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +64,7 @@ def damaged(data: bytes, length: float, changes: list[tuple[float, bytes]]) -> b
     return bytes(out)
 
 
+@cache
 def message_bytes(ros1: bool) -> dict[str, bytes]:
     """One serialized message of every kind that the bags hold."""
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
@@ -168,6 +171,33 @@ def test_damaged_bag_is_read_or_refused(
     path.write_bytes(damaged(bags[form].read_bytes(), length, changes))
     with suppress(UserError):
         read_all(path)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@MANY
+@given(length=st.just(0.0) | places, changes=edits)
+def test_damaged_bag_leaves_others_of_its_folder_alone(
+    bags: dict[str, Path],
+    tmp_path: Path,
+    form: str,
+    length: float,
+    changes: list[tuple[float, bytes]],
+) -> None:
+    suffix = bags[form].suffix
+    (tmp_path / f"a{suffix}").write_bytes(damaged(bags[form].read_bytes(), length, changes))
+    shutil.copy(bags[form], tmp_path / f"b{suffix}")
+    try:
+        shots = read(tmp_path, every_m=0.0, lidar_height_m=1.0).shots
+    except UserError:  # the damage may ask for an option
+        return
+    assert isinstance(shots, Iterator)
+    runs = []
+    while True:
+        with suppress(UserError):
+            if (shot := next(shots, None)) is None:
+                break
+            runs.append(shot.frame.run)
+    assert runs.count("b") == 8
 
 
 @pytest.mark.parametrize("form", ["mcap", "db3"])

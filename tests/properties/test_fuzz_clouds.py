@@ -31,8 +31,8 @@ def _pcd(form: str) -> bytes:
     body = {
         "ascii": "\n".join(f"{x} {y} {z} 0" for x, y, z in POINTS).encode(),
         "binary": FOUR.tobytes(),
-        # 320 zeros: one, then 264 and 55 that repeat it
-        "binary_compressed": struct.pack("<II", 8, 320) + b"\0\0\xe0\xff\0\xe0\x2e\0",
+        # 320 bytes of one kind: one, then 264 and 55 that repeat it
+        "binary_compressed": struct.pack("<II", 8, 320) + b"\0\x3f\xe0\xff\0\xe0\x2e\0",
     }[form]
     return (
         "VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from adafusion.readers import boreas, kitti_odometry, kitti_raw, mulran, nuscenes
 from adafusion.readers.ground import measure_height
 from adafusion.readers.nuscenes.tables import read_table
-from adafusion.readers.sensors import read_points
+from adafusion.readers.sensors import read_xyz
 from adafusion.types import UserError
 
 few = settings(max_examples=80, deadline=None)
@@ -135,7 +135,7 @@ def test_a_cloud_of_any_bytes_is_points_or_is_refused(
     path = tmp_path_factory.getbasetemp() / "cloud.bin"
     path.write_bytes(data)
     try:
-        points = read_points(path, record)
+        points = read_xyz(path, record)
     except UserError:
         return
     assert points.shape == (len(data) // record, 3)
@@ -151,7 +151,7 @@ def test_the_height_is_measured_or_asked_for(
     path = tmp_path_factory.getbasetemp() / "scan.bin"
     path.write_bytes(data[: len(data) // 16 * 16])
     try:
-        height = measure_height([lambda: read_points(path, 16)], "the run")
+        height = measure_height([lambda: read_xyz(path, 16)], "the run")
     except UserError:
         return
     assert np.isfinite(height)

@@ -170,22 +170,87 @@ def claiming_jpeg(width: int, height: int) -> bytes:
     return data[:at] + struct.pack(">HH", height, width) + data[at + 4 :]
 
 
+def claiming_bmp(width: int, height: int) -> bytes:
+    data = bytearray(cv2.imencode(".bmp", np.zeros((8, 8, 3), np.uint8))[1])
+    struct.pack_into("<ii", data, 18, width, height)
+    return bytes(data)
+
+
+def claiming_tiff(order: str, *tags: tuple[int, int]) -> bytes:
+    """A TIFF of one uncompressed strip; `tags` come on top of those that every TIFF has."""
+    always = {256: 8, 257: 8, 258: 8, 259: 1, 262: 1, 273: 8, 277: 1, 278: 8, 279: 64}
+    entries = sorted((always | dict(tags)).items())
+    start = {"<": b"II*\0", ">": b"MM\0*"}[order] + struct.pack(f"{order}I", 8 + 64)
+    body = struct.pack(f"{order}H", len(entries))
+    for tag, value in entries:
+        body += struct.pack(f"{order}HHII", tag, 4, 1, value)
+    return start + b"\0" * 64 + body + b"\0" * 4
+
+
+def test_what_claims_no_more_than_it_has_is_decoded() -> None:
+    for data in (claiming_tiff("<"), claiming_tiff(">"), claiming_bmp(8, 8), claiming_bmp(8, -8)):
+        assert decode_image(data, "whole").shape == (8, 8, 3)
+
+
+def test_a_jpeg_may_fill_up_before_a_marker() -> None:
+    data = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
+    at = data.index(b"\xff\xc0")
+    assert decode_image(data[:at] + b"\xff\xff" + data[at:], "filled").shape == (8, 8, 3)
+
+
+CLAIMS = {
+    "png": claiming_png(30_000, 30_000),
+    "largest png": claiming_png(2**31 - 1, 2**31 - 1),
+    "png of 100 million": claiming_png(10_000, 10_000),
+    "jpeg": claiming_jpeg(30_000, 30_000),
+    "largest jpeg": claiming_jpeg(65_000, 65_000),
+    "filled jpeg": claiming_jpeg(30_000, 30_000).replace(b"\xff\xc0", b"\xff\xff\xff\xc0"),
+    "littered jpeg": claiming_jpeg(30_000, 30_000).replace(b"\xff\xc0", b"litter\xff\xc0"),
+    "bmp": claiming_bmp(30_000, 30_000),
+    "bmp from the top": claiming_bmp(30_000, -30_000),
+    "old bmp": b"BM" + b"\0" * 12 + struct.pack("<IHHHH", 12, 30_000, 30_000, 1, 24) + b"\0" * 99,
+    "tiff": claiming_tiff("<", (256, 30_000), (257, 30_000)),
+    "tiff, other order": claiming_tiff(">", (256, 30_000), (257, 30_000)),
+    "tile": claiming_tiff("<", (322, 2**20), (323, 2**20), (324, 8), (325, 64)),
+    "long side": claiming_png(40_000, 2),
+}
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("data", CLAIMS.values(), ids=CLAIMS.keys())
+def test_an_image_that_claims_too_much_never_meets_the_decoder(
+    tmp_path: Path, data: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
+    (tmp_path / "claim").write_bytes(data)
+    with pytest.raises(UserError, match=r"claim claims .* pixels, more than any camera has"):
+        read_image(tmp_path / "claim")
+
+
+@pytest.mark.timeout(20)
 @pytest.mark.parametrize(
     "data",
     [
-        claiming_png(30_000, 30_000),
-        claiming_png(2**31 - 1, 2**31 - 1),
         claiming_png(0, 0),
-        claiming_jpeg(65_000, 65_000),
-        claiming_jpeg(30_000, 30_000),
+        claiming_bmp(0, 0),
+        claiming_tiff("<", (256, 0)),
         b"\xff\xd8\xff\xd9",
+        b"\xff\xd8" + b"\xff" * 2**22 + b"\0\xff\xd9",
         b"\xff\xd8" + b"\xff\xe0\0\0" * 3 + b"\xff\xd9",
+        b"II*\0\xff\xff\xff\xff",
+        b"BM",
     ],
 )
-def test_an_image_that_claims_too_much_is_refused(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / "claim.png").write_bytes(data)
-    with pytest.raises(UserError, match=r"claim\.png is damaged or cut short"):
-        read_image(tmp_path / "claim.png")
+def test_an_image_that_claims_nothing_is_refused(data: bytes) -> None:
+    with pytest.raises(UserError, match="any is damaged or cut short"):
+        decode_image(data, "any")
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".jp2", ".ppm"])
+def test_an_image_of_another_format_is_refused(suffix: str) -> None:
+    data = cv2.imencode(suffix, np.zeros((64, 64, 3), np.uint8))[1].tobytes()
+    with pytest.raises(UserError, match="any is no PNG, JPEG, TIFF or BMP"):
+        decode_image(data, "any")
 
 
 def test_an_archive_of_arrays_is_no_cloud(tmp_path: Path) -> None:

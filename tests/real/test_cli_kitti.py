@@ -74,7 +74,7 @@ def prepared(src: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("kitti") / "drive"
     said = type_in("prepare", "kitti-odometry", src, out)
     assert said.code == 0, said.err
-    assert "21 frames in 1 runs" in said.out
+    assert "21 frames in 1 run\n" in said.out
     return out
 
 

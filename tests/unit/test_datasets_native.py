@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -255,7 +256,8 @@ def test_mistakes_of_the_caller_are_refused_at_once(tmp_path: Path) -> None:
             writer.add_written(written)
         with pytest.raises(ValueError, match=r"a/images/1\.png, which nobody wrote"):
             writer.add_written(replace(frame_at("a", 1), image="a/images/1.png"))
-        for run in ("", "..", ".hidden", "a/b", "a\\b"):
+        bad = ("", "..", ".hidden", "a/b", "a\\b", "a\nb", "a\udcff", "ü" * 101)
+        for run in (*bad, "dataset.yaml", "Dataset.YAML", "skipped.txt"):
             with pytest.raises(UserError, match="cannot name a folder"):
                 writer.add(frame_at(run, 2), seen(2))
         for points in (np.empty((0, 3), np.float32), np.full((1, 3), np.nan, np.float32)):
@@ -322,6 +324,7 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0]).ravel().tolist()
         (edit_manifest(lambda v: v.update(synthetic="no")), r"dataset\.yaml: synthetic is no bool"),
         (edit_manifest(lambda v: v.update(regions={"t": [[1]]})), r"dataset\.yaml: region 't'"),
         (edit_manifest(lambda v: v.update(regions={"t": [["a"]]})), r"dataset\.yaml: could not"),
+        (edit_manifest(lambda v: v["runs"].update(day=None)), r"yaml: run day has None for a num"),
         (edit_manifest(lambda v: v["runs"].update(day=2)), r"day/frames\.parquet holds 3 .*says 2"),
         (edit_manifest(lambda v: v["runs"].update(dusk=3)), r"dusk/frames\.parquet is missing"),
         (lambda root: (root / "day/frames.parquet").unlink(), r"day/frames\.parquet is missing"),
@@ -412,7 +415,7 @@ def test_a_png_with_any_byte_changed_is_refused(tmp_path: Path) -> None:
     data = cv2.imencode(".png", np.arange(48, dtype=np.uint8).reshape(4, 4, 3))[1].tobytes()
     for at in range(len(data)):
         path.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
-        with pytest.raises(UserError, match="damaged or cut short"):
+        with pytest.raises(UserError, match=r"is (damaged or cut short|no PNG)"):
             read_image(path)
 
 
@@ -426,3 +429,38 @@ def test_a_jpeg_may_be_padded(tmp_path: Path) -> None:
 def test_a_file_that_is_not_there_is_named(tmp_path: Path, read: Callable[[Path], object]) -> None:
     with pytest.raises(UserError, match=r"gone.* is missing"):
         read(tmp_path / "gone")
+
+
+@pytest.fixture(params=["pipe", "device", "large"])
+def no_file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """What blocks, never ends or fills the memory where it is read as a file."""
+    path = tmp_path / "odd"
+    if request.param == "large":
+        with path.open("wb") as file:
+            file.truncate(2**30 + 1)  # of which nothing is on disk
+    elif not hasattr(os, "mkfifo"):
+        pytest.skip("Windows has neither pipes nor devices among its files")
+    elif request.param == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    return path
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("read", [read_image, read_cloud])
+def test_only_a_regular_file_of_bounded_size_is_read(
+    no_file: Path, read: Callable[[Path], object]
+) -> None:
+    with pytest.raises(UserError, match=r"odd .*(no regular file|larger than 1024 MB)"):
+        read(no_file)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no pipes among its files")
+def test_a_pipe_is_no_table_of_frames(toy: Dataset) -> None:
+    table = toy.root / "day/frames.parquet"
+    table.unlink()
+    os.mkfifo(table)
+    with pytest.raises(UserError, match=r"day/frames\.parquet is missing"):
+        open_dataset(toy.root)

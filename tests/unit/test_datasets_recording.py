@@ -126,6 +126,32 @@ def test_it_keeps_what_came_before_a_stream_broke_off(tmp_path: Path) -> None:
         write_recording(Recording(info=INFO, shots=stream()), tmp_path / "b")
 
 
+class Streams:
+    """Shots, and between them faults, after which it goes on."""
+
+    def __init__(self, *coming: Shot | UserError) -> None:
+        self.coming = iter(coming)
+
+    def __iter__(self) -> Streams:
+        return self
+
+    def __next__(self) -> Shot:
+        one = next(self.coming)
+        if isinstance(one, UserError):
+            raise one
+        return one
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_it_goes_on_with_what_comes_after_a_fault(tmp_path: Path, workers: int) -> None:
+    one, two = (shot(k, image=None, cloud=partial(np.ones, (5, 3))) for k in (1, 2))
+    fault = UserError("one.bag ends within a chunk: reindex it")
+    recording = Recording(info=INFO, shots=Streams(one, fault, two))
+    written = write_recording(recording, tmp_path / "out", skip_bad=True, workers=workers)
+    assert [one.reason for one in written.skipped] == [str(fault)]
+    assert [f.key for f in written.dataset.frames] == ["a/1000", "a/2000"]
+
+
 def test_it_refuses_two_frames_of_one_time(tmp_path: Path) -> None:
     shots = [shot(1), shot(1)]
     with pytest.raises(UserError, match="two frames of run a have the time 1000"):
@@ -157,3 +183,45 @@ def test_it_refuses_a_run_that_cannot_name_a_folder(tmp_path: Path) -> None:
     shots = [shot(1, frame=frame(1, run="../elsewhere"))]
     with pytest.raises(UserError, match="cannot name a folder"):
         write_recording(Recording(info=INFO, shots=shots), tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["a\udcff", "a\nb", "skipped.txt", "x" * 300])
+def test_it_refuses_such_a_run_before_anything_of_it_is_decoded(tmp_path: Path, name: str) -> None:
+    log = tmp_path / "log"
+    shots = [shot(1, frame=frame(1, run=name), cloud=partial(line, 1, str(log)))]
+    with pytest.raises(UserError, match="cannot name a folder"):
+        write_recording(Recording(info=INFO, shots=shots), tmp_path / "out", skip_bad=True)
+    assert not log.exists()
+
+
+def test_a_dataset_lists_what_it_lacks_from_its_first_moment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def power_cut(folder: Path, out: Path) -> None:
+        rename(folder, out)
+        raise RuntimeError("power cut")
+
+    rename = Path.rename
+    monkeypatch.setattr(Path, "rename", power_cut)
+    shots = [shot(1), shot(2, cloud=partial(damaged, "2.bin"))]
+    with pytest.raises(RuntimeError, match="power cut"):
+        write_recording(Recording(info=INFO, shots=shots), tmp_path / "out", skip_bad=True)
+    assert "2.bin is cut short" in (tmp_path / "out" / SKIPPED_FILE).read_text()
+
+
+def test_a_list_of_an_earlier_job_does_not_stay(tmp_path: Path) -> None:
+    shots = [shot(1), shot(2, cloud=partial(damaged, "2.bin"))]
+    write_recording(Recording(info=INFO, shots=shots), tmp_path / "out", skip_bad=True)
+    (tmp_path / "out").rename(tmp_path / "out.partial")  # only the name was not taken
+    write_recording(Recording(info=INFO, shots=[shot(1), shot(2)]), tmp_path / "out")
+    assert not (tmp_path / "out" / SKIPPED_FILE).exists()
+
+
+def test_it_says_why_no_frame_is_left(tmp_path: Path) -> None:
+    shots = [shot(k, cloud=partial(damaged, f"{k}.bin")) for k in range(1, 9)]
+    with pytest.raises(
+        UserError, match=r"no frame is left, 8 faults .*: 1\.bin is cut short.*2\.bin is"
+    ) as told:
+        write_recording(Recording(info=INFO, shots=shots), tmp_path / "out", skip_bad=True)
+    assert "8.bin" not in str(told.value)
+    assert not (tmp_path / "out").exists()

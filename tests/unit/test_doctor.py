@@ -319,8 +319,14 @@ FAULTS: dict[str, Fault] = {
     "clouds are in the sensor's frame": Fault(
         told={"ground": "fail"}, cloud=lambda row, points: points - (0, 0, 1.8)
     ),
-    "the LiDAR's height is 0.6 m wrong": Fault(
+    "the LiDAR's height is 0.6 m too small": Fault(
         told={"ground": "warn"}, cloud=lambda row, points: points - (0, 0, 0.6)
+    ),
+    "the LiDAR's height is 0.6 m too large": Fault(
+        told={"ground": "warn"}, cloud=lambda row, points: points - (0, 0, -0.6)
+    ),
+    "the LiDAR's height is 0.15 m too small": Fault(  # nearly as much as slopes do
+        told={}, cloud=lambda row, points: points - (0, 0, 0.15)
     ),
     "clouds are upside down": Fault(
         told={"ground": "fail"}, cloud=lambda row, points: points @ FLIP
@@ -371,7 +377,7 @@ def test_what_the_data_do_not_say_is_skipped_and_not_called_right(
     bare = Fault(
         told={},
         info=lambda info: replace(
-            calibrated(K=None)(info), regions={}, sensors={"cloud_unit": "normalised to [-1, 1]"}
+            calibrated(K=None)(info), regions={}, sensors={"cloud_unit": "normalised: no metre"}
         ),
         frames=lambda row, f: [replace(f, T_world_body=None, T_world_ins=None)],
         cloud=lambda row, points: points / 80,
@@ -384,6 +390,16 @@ def test_what_the_data_do_not_say_is_skipped_and_not_called_right(
         *("regions", "train/test leakage", "cloud scale", "ground", "voxel grid"),
         *("intrinsics", "camera pose", "projection"),
     }
+
+
+def test_a_set_without_a_camera_is_not_told_to_look_for_images(
+    clean: Dataset, tmp_path: Path
+) -> None:
+    blind = Fault(told={}, frames=lambda row, frame: [replace(frame, image=None)])
+    finding = examine(planted(clean, tmp_path / "blind", blind), samples=2).findings[0]
+    assert (finding.check, finding.level) == ("sensors", "warn")
+    assert "--slop-ms" not in finding.remedy
+    assert "--model lidar-s" in finding.remedy
 
 
 def test_the_same_seed_opens_the_same_frames_and_every_frame_can_be_asked_for(
@@ -403,4 +419,5 @@ def test_the_page_shows_suspects_and_tells_what_cannot_be_shown(
     assert "fail: readable files" in page
     assert "SYNTHETIC" in page
     assert page.count("The cloud projected onto the image") >= 5
+    assert "--html" not in page
     assert "http" not in page.replace("http://www.w3.org/", "").replace("https://www.w3.org/", "")

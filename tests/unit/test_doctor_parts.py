@@ -13,11 +13,13 @@ import pytest
 from adafusion.datasets import Dataset, DatasetInfo
 from adafusion.doctor import checks_motion
 from adafusion.doctor.calibration import CameraModel, camera_of
+from adafusion.doctor.checks_extrinsics import camera_pose
 from adafusion.doctor.checks_files import same_files
 from adafusion.doctor.checks_places import positives
 from adafusion.doctor.looks import choose_rows, ground_height_m
+from adafusion.doctor.page import bar_edges
 from adafusion.doctor.table import Table
-from adafusion.geometry import pose
+from adafusion.geometry import pose, rotation_from_rpy
 from adafusion.types import Frame
 
 INFO = DatasetInfo(name="x", version="1", source="x", licence="x", synthetic=True)
@@ -88,12 +90,72 @@ def test_a_run_of_one_frame_is_skipped_by_what_needs_two() -> None:
     assert [check(t).level for check in (*checks, checks_motion.standing)] == ["skip"] * 4
 
 
-def test_the_ground_is_found_under_walls_and_not_where_nothing_is_seen() -> None:
+def road(z: float, slope: float = 0.0) -> np.ndarray:
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(-15, 15, 61), np.linspace(-15, 15, 61)))
-    road = np.column_stack([x, y, np.full(len(x), -1.5)])
-    wall = np.column_stack([np.full(200, 8.0), np.linspace(-10, 10, 200), np.linspace(0, 6, 200)])
-    assert ground_height_m(np.concatenate([road, wall])) == pytest.approx(-1.5)
-    assert np.isnan(ground_height_m(wall[:3]))
+    return np.column_stack([x, y, z + slope * x])
+
+
+WALL = np.column_stack([np.full(200, 8.0), np.linspace(-10, 10, 200), np.linspace(0, 6, 200)])
+
+
+@pytest.mark.parametrize("z", [-1.5, -0.6, 0.0, 0.6, 1.5])
+def test_the_ground_is_found_under_walls_and_not_where_nothing_is_seen(z: float) -> None:
+    assert ground_height_m(np.concatenate([road(z), WALL])) == pytest.approx(z, abs=1e-3)
+    assert np.isnan(ground_height_m(WALL[:3]))
+
+
+def test_the_ground_is_that_under_the_vehicle_on_a_slope_over_noise_and_reflections() -> None:
+    rng = np.random.default_rng(0)
+    slope = road(0.0, slope=0.05) + rng.normal(0.0, 0.02, (61 * 61, 3))
+    below = road(0.0)[::5] - np.column_stack([np.zeros((745, 2)), rng.uniform(0.2, 3.0, 745)])
+    assert ground_height_m(np.concatenate([slope, below, WALL])) == pytest.approx(0.0, abs=0.03)
+
+
+def test_a_cloud_whose_ground_is_a_small_part_still_shows_it() -> None:
+    rng = np.random.default_rng(0)
+    about = rng.uniform((-15, -15, 0), (15, 15, 6), (16_000, 3))
+    assert ground_height_m(np.concatenate([road(0.0), about])) == pytest.approx(0.0, abs=0.02)
+
+
+def test_a_cloud_without_ground_shows_none() -> None:
+    about = np.random.default_rng(0).uniform((-15, -15, 0), (15, 15, 6), (16_000, 3))
+    assert np.isnan(ground_height_m(about))
+
+
+def test_the_largest_tilt_is_not_below_the_median() -> None:
+    frames = tuple(
+        Frame(
+            run="r",
+            timestamp_us=i,
+            position_m=(0.0, 0.0, 0.0),
+            T_world_body=pose(rotation_from_rpy(0.0, np.deg2rad(degrees), 0.0), (0.0, 0.0, 0.0)),
+        )
+        for i, degrees in enumerate((0.1, 0.3, 0.4))
+    )
+    finding = checks_motion.tilt(Table.of(Dataset(Path(), INFO, frames)))
+    assert finding.what == "median 0.3 deg, at most 0.4 deg"
+
+
+@pytest.mark.parametrize(
+    ("yaw", "words"),
+    [
+        (-136.9, "looks 136.9 deg right of ahead, 0.0 deg up"),
+        (90.0, "looks 90.0 deg left of ahead, 0.0 deg up"),
+        (-0.04, "looks 0.0 deg left of ahead, 0.0 deg up"),
+    ],
+)
+def test_where_the_camera_looks_is_said_by_its_side(yaw: float, words: str) -> None:
+    ahead = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
+    R = rotation_from_rpy(0.0, 0.0, np.deg2rad(yaw)) @ ahead
+    camera = CameraModel(np.eye(3), pose(R, (0.0, 0.0, 1.0)), np.zeros(5))
+    assert words in camera_pose({"r": camera}).what
+
+
+@pytest.mark.parametrize("value", [0.0, 0.013, 23_546.0])
+def test_values_that_are_all_the_same_make_a_narrow_bar(value: float) -> None:
+    edges = bar_edges(np.full(6, value))
+    (bar,) = np.flatnonzero(np.histogram(np.full(6, value), edges)[0])
+    assert edges[bar + 1] - edges[bar] < 0.05 * (edges[-1] - edges[0])
 
 
 def test_a_point_is_projected_as_the_pinhole_says() -> None:

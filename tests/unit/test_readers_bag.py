@@ -6,6 +6,9 @@ from __future__ import annotations
 
 import pickle
 import shutil
+import struct
+import tracemalloc
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,15 +18,18 @@ import numpy as np
 import pytest
 import yaml
 
+from adafusion.cli.data import prepare
 from adafusion.datasets.recording import Recording, Shot, write_recording
+from adafusion.readers.bag import limits
 from adafusion.readers.bag.files import Topic, find_bags
 from adafusion.readers.bag.reader import describe_topics, list_topics, read, recognises
 from adafusion.types import UserError
 
 pytest.importorskip("rosbags", reason="adafusion[data]")
 
+import lz4.frame
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, storage_mcap
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -190,7 +196,8 @@ class Log:
         self.transform(0, "base_link", "velodyne", (1, 0, 2), (0, 0, HALF, HALF), static=True)
         self.transform(0, "velodyne", "cam_optical", (0, 0, 0.5), static=True)
 
-    def write(self, path: Path, form: str) -> Path:
+    def write(self, path: Path, form: str, pack: Callable[[Any], None] | None = None) -> Path:
+        """A bag of `form`, its writer set by `pack`; a message of bytes is written as it is."""
         store = STORES[self.ros1]
         writer: Any
         if form == "bag":
@@ -199,12 +206,15 @@ class Log:
         else:
             plugin = StoragePlugin.MCAP if form == "mcap" else StoragePlugin.SQLITE3
             writer, write = Writer2(path, version=9, storage_plugin=plugin), store.serialize_cdr
+        if pack is not None:
+            pack(writer)
         with writer:
             connections: dict[str, Any] = {}
             for received, topic, kind, message in sorted(self.rows, key=lambda row: row[0]):
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=store)
-                writer.write(connections[topic], received, write(message, kind))
+                raw = message if isinstance(message, bytes) else write(message, kind)
+                writer.write(connections[topic], received, raw)
         return path
 
 
@@ -339,7 +349,85 @@ def test_messages_that_go_back_in_time_are_left_out(tmp_path: Path) -> None:
     assert "2 messages go back in time" in recording.notes[0]
 
 
+WILD_NS = 2_130_000_000 * 10**9  # in the year 2037
+
+
+@pytest.mark.parametrize("which", [0, 7, 14])
+def test_single_wild_stamp_loses_its_own_message_alone(tmp_path: Path, which: int) -> None:
+    log = Log(ros1=True)
+    log.drive()
+    for k in range(15):
+        at = T0_NS + 200 * MS * k
+        if k == which:
+            log.cloud(WILD_NS, late_ms=(at - WILD_NS) // MS)
+        else:
+            log.cloud(at)
+    recording = read(log.write(tmp_path / "drive", "bag"), every_m=0.0, lidar_height_m=0.0)
+    assert times_ms(shots_of(recording)) == [200 * k for k in range(15) if k != which]
+    assert "1 messages have a stamp that is off by more than 60 s" in recording.notes[0]
+
+
+def test_clock_of_its_own_is_not_wild(tmp_path: Path) -> None:
+    log = Log()
+    since_power_on = 5_000 * MS
+    for k in range(31):
+        log.odometry(since_power_on + 100 * MS * k, (k, 0, 0))
+        log.cloud(since_power_on + 100 * MS * k)
+    log.rows = [(at + T0_NS, *row) for at, *row in log.rows]
+    recording = read(log.write(tmp_path / "drive", "mcap"), every_m=0.0, lidar_height_m=0.0)
+    assert len(shots_of(recording)) == 31
+
+
+def test_clock_that_is_set_anew_is_followed(tmp_path: Path) -> None:
+    log = Log()
+    hour_ms = 3_600_000
+    for k in range(40):  # an hour ahead from the tenth message on
+        at = T0_NS + (100 * k + hour_ms * (k >= 10)) * MS
+        log.odometry(at, (k, 0, 0))
+        log.cloud(at, late_ms=-hour_ms * (k >= 10))
+    recording = read(log.write(tmp_path / "drive", "mcap"), every_m=0.0, lidar_height_m=0.0)
+    times = times_ms(shots_of(recording))
+    assert times[:10] == [100 * k for k in range(10)]
+    assert times[-1] == 3900 + hour_ms
+    assert len(times) >= 35
+
+
+def test_messages_that_wait_for_each_other_are_bounded_by_number(tmp_path: Path) -> None:
+    log = Log()
+    log.drive()
+
+    def add(sensor: Callable[..., None], at_ms: int) -> None:  # all recorded at one time
+        sensor(T0_NS + at_ms * MS, late_ms=3000 - at_ms)
+
+    for k in range(150):
+        add(log.image, 10 * k)
+    for at_ms in (0, 1490):
+        add(log.cloud, at_ms)
+    for k in range(150):
+        add(log.cloud, 1501 + 2 * k)
+    for at_ms in (1501, 1799):
+        add(log.image, at_ms)
+    path = log.write(tmp_path / "drive", "mcap")
+    recording = read(path, every_m=0.0, lidar_height_m=0.0, slop_ms=0.0)
+    assert times_ms(shots_of(recording)) == [1490, 1799]
+
+
 # ---------------------------------------------------------------------------- poses
+
+
+def test_hole_in_the_slower_edge_is_not_bridged(tmp_path: Path) -> None:
+    log = Log()
+    log.mount()
+    for k in range(201):
+        at = T0_NS + 100 * MS * k
+        log.transform(at, "odom", "base_link", (k, 0, 0))
+        if k % 5 == 0 and not 50 < k < 150:
+            log.transform(at, "map", "odom", (0, k, 0))
+    for at_s in (4, 10, 16):
+        log.cloud(T0_NS + at_s * 1000 * MS)
+    recording = read(log.write(tmp_path / "drive", "mcap"))
+    assert times_ms(shots_of(recording)) == [4000, 16000]
+    assert "1 of 3 clouds lie outside the poses" in recording.notes[0]
 
 
 def test_tree_gives_poses_of_the_base_in_the_map(tmp_path: Path) -> None:
@@ -501,6 +589,15 @@ def test_topics_are_listed_with_type_and_count(tmp_path: Path) -> None:
     assert "/points         sensor_msgs/PointCloud2  15" in describe_topics(path)
 
 
+def test_listing_takes_the_words_of_preparing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    src = str(simple().write(tmp_path / "drive", "mcap"))
+    for paths in ([src], ["bag", src], [src, "data/out"], ["bag", src, "data/out"]):
+        prepare(paths, list_topics=True)
+        assert "sensor_msgs/PointCloud2  15" in capsys.readouterr().out
+
+
 def test_several_candidates_ask_for_a_choice(tmp_path: Path) -> None:
     log = simple()
     log.image(T0_NS + 60 * MS, topic="/rear/image_raw")
@@ -567,6 +664,25 @@ def test_camera_info_beside_the_images_is_used(tmp_path: Path) -> None:
     assert (image[2, 3] == 3).all()
 
 
+def test_fisheye_images_are_undistorted(tmp_path: Path) -> None:
+    log = simple()
+    log.camera_info([0.0, 0.0, 0.0, 0.0])
+    log.rows[-1][3].distortion_model = "equidistant"
+    recording = read(log.write(tmp_path / "drive", "mcap"))
+    assert recording.info.calibration["K"] == [[5, 0, 2.5], [0, 5, 1.5], [0, 0, 1]]
+    assert "fisheye distortion [0.0, 0.0, 0.0, 0.0] undone" in recording.info.source
+    assert shots_of(recording)[1].image().shape == (4, 6, 3)
+
+
+def test_images_that_stay_bent_have_no_k(tmp_path: Path) -> None:
+    log = simple()
+    log.camera_info([0.1])
+    log.rows[-1][3].distortion_model = "fov"
+    recording = read(log.write(tmp_path / "drive", "mcap"))
+    assert "K" not in recording.info.calibration
+    assert "distortion 'fov' of 1 numbers in /cam/camera_info is not undone" in recording.notes[0]
+
+
 def test_rectified_images_have_the_k_of_the_projection(tmp_path: Path) -> None:
     log = simple()
     log.rows = [r if r[2] != IMAGE else (r[0], "/cam/image_rect", *r[2:]) for r in log.rows]
@@ -608,7 +724,7 @@ def test_calibration_file_goes_before_what_the_bag_says(tmp_path: Path) -> None:
         ("k: 3", "unknown entries k"),
         ("K: [[1, 0], [0, 1]]", "K is not 3x3"),
         ("K: [[0, 0, 1], [0, 1, 1], [0, 0, 1]]", "K is not"),
-        ("distortion: [1, 2, 3]", "4, 5 or 8"),
+        ("distortion: [1, 2, 3]", "4, 5, 8, 12 or 14"),
         ("distortion: [1, 2, 3, x]", "finite numbers"),
         ("distortion: [0.1, 0, 0, 0]", "without K"),
         ("T_body_lidar: [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]", "no rigid motion"),
@@ -673,16 +789,10 @@ def test_folder_without_its_metadata_is_read_all_the_same(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 def test_compressed_folder_is_read(tmp_path: Path, mode: CompressionMode) -> None:
-    log, store = simple(), STORES[False]
-    writer = Writer2(tmp_path / "drive", version=9, storage_plugin=StoragePlugin.SQLITE3)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        known: dict[str, Any] = {}
-        for received, topic, kind, message in sorted(log.rows, key=lambda row: row[0]):
-            if topic not in known:
-                known[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(known[topic], received, store.serialize_cdr(message, kind))
-    assert len(shots_of(read(tmp_path / "drive"))) == 5
+    path = simple().write(
+        tmp_path / "drive", "db3", lambda w: w.set_compression(mode, CompressionFormat.ZSTD)
+    )
+    assert len(shots_of(read(path))) == 5
 
 
 def test_bags_of_the_world_say_so(tmp_path: Path) -> None:
@@ -719,23 +829,24 @@ def test_bag_that_is_cut_is_refused_with_a_remedy(tmp_path: Path, form: str, rem
         assert file.name in str(caught.value)
 
 
-def test_stream_that_breaks_off_keeps_what_came_before(tmp_path: Path) -> None:
-    log = simple("bag")
-    path, store = tmp_path / "drive.bag", STORES[True]
-    writer = Writer1(path)
-    writer.set_compression(Writer1.CompressionFormat.LZ4)
-    writer.chunk_threshold = 8_000  # many small chunks
-    with writer:
-        known: dict[str, Any] = {}
-        for received, topic, kind, message in sorted(log.rows, key=lambda row: row[0]):
-            if topic not in known:
-                known[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(known[topic], received, store.serialize_ros1(message, kind))
+def write_broken(path: Path) -> Path:
+    """A simple bag that breaks off in its third chunk."""
+
+    def pack(writer: Any) -> None:
+        writer.set_compression(Writer1.CompressionFormat.LZ4)
+        writer.chunk_threshold = 8_000  # many small chunks
+
+    path = simple("bag").write(path, "bag", pack)
     data = bytearray(path.read_bytes())
     starts = [at for at in range(len(data)) if data.startswith(b"\x04\x22\x4d\x18", at)]
     assert len(starts) > 3
     data[starts[2]] ^= 0xFF  # of the third chunk, with poses, images and clouds
     path.write_bytes(data)
+    return path
+
+
+def test_stream_that_breaks_off_keeps_what_came_before(tmp_path: Path) -> None:
+    path = write_broken(tmp_path / "drive")
     with pytest.raises(UserError, match="rosbag reindex"):
         write_recording(read(path), tmp_path / "out")
     written = write_recording(read(path), tmp_path / "kept", skip_bad=True)
@@ -744,6 +855,127 @@ def test_stream_that_breaks_off_keeps_what_came_before(tmp_path: Path) -> None:
     assert len(kept) >= 2
     (skipped,) = written.skipped
     assert "drive.bag is damaged or cut short" in skipped.reason
+
+
+def test_broken_bag_loses_its_own_frames_alone(tmp_path: Path) -> None:
+    src = tmp_path / "src"
+    src.mkdir()
+    write_broken(src / "a")
+    simple("bag").write(src / "b", "bag")
+    whole = simple("bag").write(src / "c", "bag")
+    whole.write_bytes(whole.read_bytes()[:5000])  # not even its index is there
+    with pytest.raises(UserError, match=r"c\.bag"):
+        write_recording(read(src), tmp_path / "out")
+    written = write_recording(read(src), tmp_path / "kept", skip_bad=True)
+    runs = [frame.run for frame in written.dataset.frames]
+    assert runs.count("b") == 5
+    assert 2 <= runs.count("a") < 5
+    assert [name for one in written.skipped for name in "ac" if f"{name}.bag" in one.reason] == [
+        "c",
+        "a",
+    ]
+
+
+def test_folder_of_broken_bags_alone_is_refused(tmp_path: Path) -> None:
+    for name in "ab":
+        (tmp_path / f"{name}.bag").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(UserError, match=r"a\.bag is damaged"):
+        read(tmp_path)
+
+
+def test_single_damaged_messages_are_left_out(tmp_path: Path) -> None:
+    log = simple()
+    for topic, kind in (("/points", CLOUD), ("/cam/image_raw", IMAGE), ("/odom", ODOMETRY)):
+        log.rows.append((T0_NS, topic, kind, b"\0\1\0\0cut"))
+        log.rows.append((T0_NS + 1000 * MS, topic, kind, b"\0\1\0\0cut"))
+    recording = read(log.write(tmp_path / "drive", "mcap"))
+    assert times_ms(shots_of(recording)) == [50, 650, 1250, 1850, 2450]
+    assert recording.notes == [
+        "drive: 2 poses or transforms are damaged: left out",
+        "drive: 4 messages are damaged: left out",
+    ]
+
+
+def pack_bag(name: str) -> Callable[[Any], None]:
+    return lambda writer: writer.set_compression(Writer1.CompressionFormat[name])
+
+
+def pack_bag2(name: str) -> Callable[[Any], None]:
+    return lambda writer: writer.set_compression(CompressionMode[name], CompressionFormat.ZSTD)
+
+
+@pytest.mark.parametrize(
+    ("form", "pack"),
+    [
+        ("bag", pack_bag("LZ4")),
+        ("bag", pack_bag("BZ2")),
+        ("mcap", pack_bag2("STORAGE")),
+        ("mcap", pack_bag2("FILE")),
+        ("db3", pack_bag2("MESSAGE")),
+        ("db3", pack_bag2("FILE")),
+        ("mcap", None),
+    ],
+)
+def test_bag_that_unpacks_to_more_than_a_recorder_writes_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, pack: Callable[[Any], None] | None
+) -> None:
+    log = simple(form)
+    at = T0_NS + 1000 * MS
+    log.add(
+        "/cam/image_raw",
+        IMAGE,
+        at,
+        header=log.header(at, "cam_optical"),
+        data=np.zeros(2**22, np.uint8),
+        **{"height": 2**11, "width": 2**11, "encoding": "mono8", "is_bigendian": 0, "step": 2**11},
+    )
+    path = log.write(tmp_path / "drive", form, pack)
+    assert len(shots_of(read(path))) == 5
+    monkeypatch.setattr(limits, "MOST_BYTES", 2**20)
+    with pytest.raises(UserError, match=r"drive.* (claims|unpacks to|holds) .*more than 1048576"):
+        list(read(path).shots)
+
+
+def record(kind: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", kind, len(body)) + body
+
+
+@pytest.mark.parametrize("packing", ["zstd", "lz4"])
+def test_chunk_that_unpacks_to_more_than_it_claims_is_stopped_there(
+    tmp_path: Path, packing: str
+) -> None:
+    pack: dict[str, Callable[[bytes], bytes]] = {
+        "lz4": lz4.frame.compress,
+        "zstd": storage_mcap.zstd.compress,
+    }
+    bomb = pack[packing](bytes(2**26))
+    name = struct.pack("<I", len(packing)) + packing.encode()
+    chunk = struct.pack("<QQQI", 0, 1, 100, 0) + name + struct.pack("<Q", len(bomb)) + bomb
+    magic, ros2 = b"\x89MCAP0\r\n", struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0)
+    path = tmp_path / "drive.mcap"
+    footer = record(2, struct.pack("<QQI", 0, 0, 0))
+    path.write_bytes(magic + record(1, ros2) + record(6, chunk) + footer + magic)
+    tracemalloc.start()
+    with pytest.raises(UserError, match=r"drive\.mcap .*more than 100 bytes"):
+        list_topics(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2**24
+
+
+def test_record_of_a_file_with_holes_is_not_read_whole(tmp_path: Path) -> None:
+    magic, ros2 = b"\x89MCAP0\r\n", struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0)
+    path = tmp_path / "drive.mcap"
+    with path.open("wb") as file:
+        file.write(magic + record(1, ros2) + struct.pack("<BQ", 4, 2**29))
+        file.seek(2**29, 1)
+        file.write(record(2, struct.pack("<QQI", 0, 0, 0)) + magic)
+    tracemalloc.start()
+    with pytest.raises(UserError, match=r"drive\.mcap .*claims 536870912 bytes"):
+        list_topics(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2**24
 
 
 def test_damaged_metadata_is_refused(tmp_path: Path) -> None:

@@ -209,6 +209,19 @@ def test_it_drops_what_organised_clouds_hold_for_no_return(save) -> None:
         read_points(save(".pcd", nothing))
 
 
+@pytest.mark.parametrize("suffix", [".bin", ".npy", ".pcd"])
+def test_it_drops_points_at_the_origin_which_are_no_return(save, suffix: str) -> None:
+    points = np.array([(0, 0, 0), *XYZ, (0, -0.0, 0), (0, 0, 0.5)], np.float32)
+    data = {".bin": np.insert(points, 3, 9, axis=1).tobytes(), ".npy": b"", ".pcd": b""}[suffix]
+    if suffix == ".pcd":
+        body = "".join(f"{x} {y} {z} 9\n" for x, y, z in points.tolist())
+        data = pcd("ascii", body.encode(), points=len(points))
+    path = save(suffix, data)
+    if suffix == ".npy":
+        np.save(path, points)
+    np.testing.assert_array_equal(read_points(path, columns=4), [*XYZ, (0, 0, 0.5)])
+
+
 BINARY = b"".join(struct.pack("<4f", *point, 9) for point in XYZ)
 
 

@@ -154,10 +154,13 @@ def test_it_keeps_a_frame_every_so_many_metres(tmp_path: Path) -> None:
 
 def test_it_says_when_a_world_is_synthetic(tmp_path: Path) -> None:
     src = save_run(tmp_path / "src", ["0", "1"], kitti(2))
+    real = read(src, poses=src / "poses.txt").info
+    assert str(src / "poses.txt") in real.source
     (src / "manifest.json").write_text('{"synthetic": true}')
-    info = read(src).info
+    info = read(src, poses=src / "poses.txt").info
     assert info.synthetic
     assert info.name == "synthetic world in folder layout"
+    assert info.source.endswith(real.source)  # with all its settings
 
 
 # ------------------------------------------------------------------------------------------- names
@@ -193,7 +196,8 @@ def test_it_interpolates_poses_and_joins_images_by_time(tmp_path: Path) -> None:
     assert [f.timestamp_us - start for f in frames] == [100_000, 500_000]
     assert [f.image_time_us for f in frames] == [start + 90_000, start + 470_000]
     np.testing.assert_allclose([f.position_m[0] for f in frames], [0.1, 0.5])
-    assert recording.notes == [
+    assert recording.notes[-1].startswith("clouds are taken to be in the body frame")
+    assert recording.notes[:-1] == [
         "1 of 4 clouds of src have no image within 50 ms: left out",
         "1 of 4 clouds of src lie outside the poses or in a gap of them: left out",
     ]
@@ -224,7 +228,7 @@ def test_it_takes_names_in_order_where_there_are_as_many_as_rows(tmp_path: Path)
     (src / "images" / "9.png").unlink()
     recording = read(src)
     assert placed(recording) == [(1_000_000, 1), (2_000_000, 2)]
-    assert recording.notes == ["1 of 3 clouds of src have no image within 50 ms: left out"]
+    assert recording.notes[:-1] == ["1 of 3 clouds of src have no image within 50 ms: left out"]
 
 
 def test_it_takes_names_as_row_numbers_where_there_are_fewer(tmp_path: Path) -> None:
@@ -325,16 +329,19 @@ def test_it_refuses_options_that_make_no_sense(tmp_path: Path, options: dict[str
         read(src, **options)
 
 
-def test_it_bears_links_that_lead_nowhere_or_round(tmp_path: Path) -> None:
-    src = save_run(tmp_path / "src", ["0", "1", "2"], kitti(3))
-    for link, target in (
-        (src / "images" / "3.png", "nowhere.png"),
-        (src / "clouds" / "4.bin", "4.bin"),
-        (src / "again", "."),
-    ):
+def test_links_that_lead_nowhere_or_round_cost_their_frame_alone(tmp_path: Path) -> None:
+    src = save_run(tmp_path / "src", ["0", "1", "2", "3", "4"], kitti(5))
+    for link, target in ((src / "images" / "3.png", "no.png"), (src / "clouds" / "4.bin", "4.bin")):
+        link.unlink()
         link.symlink_to(target)
+    (src / "again").symlink_to(".")
     (src / "images" / "._0.png").write_bytes(b"left by another system")
-    assert len(list(read(src).shots)) == 3
+    written = write_recording(read(src), tmp_path / "out", skip_bad=True)
+    assert len(written.dataset.frames) == 3
+    assert [one.reason.split(" ")[0] for one in written.skipped] == [
+        str(src / "images" / "3.png"),
+        str(src / "clouds" / "4.bin"),
+    ]
     assert recognises(src)
     (tmp_path / "round").symlink_to("round")
     assert not recognises(tmp_path / "round")
@@ -363,7 +370,7 @@ def test_it_notes_poses_in_other_axes(tmp_path: Path) -> None:
     """Those of a camera, which looks along its z."""
     rows = "".join(f"1 0 0 0 0 1 0 0 0 0 1 {z}\n" for z in range(8))
     src = save_run(tmp_path / "src", map(str, range(8)), rows)
-    [note] = read(src).notes
+    note, _ = read(src).notes
     assert note.startswith("src moves 90 degrees off its x axis")
 
 
@@ -511,6 +518,19 @@ def test_it_puts_latitudes_into_one_utm_zone(tmp_path: Path) -> None:
     save_run(tmp_path / "src" / "zoo", ["0", "1"], kitti(2))
     with pytest.raises(UserError, match="only some runs have latitudes"):
         read(tmp_path / "src")
+
+
+@pytest.mark.parametrize(
+    "rotation", ["yaw_deg", "heading", "qx,qy,qz,qw"], ids=["yaw", "heading", "quaternion"]
+)
+def test_headings_from_true_north_become_those_of_the_grid(tmp_path: Path, rotation: str) -> None:
+    # at the edge of zone 32 the grid's north is 2.2 degrees from true north
+    north = {"yaw_deg": "90", "heading": "0"}.get(rotation, f"0,0,{np.sqrt(0.5)},{np.sqrt(0.5)}")
+    rows = [f"{49.0 + 1e-4 * k},11.9,{north}" for k in range(3)]
+    T = poses_of(tmp_path, "\n".join([f"lat,lon,{rotation}", *rows, ""])).T_world_body
+    way = T[2, :3, 3] - T[0, :3, 3]
+    assert abs(way[0]) > 0.5
+    np.testing.assert_allclose(T[1, :3, 0], way / np.linalg.norm(way), atol=1e-6)
 
 
 def test_utm_has_its_false_origin_on_the_equator() -> None:

@@ -271,9 +271,9 @@ def test_a_wrong_folder_or_sequence_is_told_what_to_give(src: Path, tmp_path: Pa
     out = tmp_path / "out"
     with pytest.raises(UserError, match="give the folder above `sequences`"):
         prepare(src / "sequences", out)
-    with pytest.raises(UserError, match=r"sequences/05 is missing: choose from 04"):
+    with pytest.raises(UserError, match=r"sequences has no run '05': choose from 04"):
         prepare(src, out, runs=["05"])
-    with pytest.raises(UserError, match=r"no sequence .* is chosen"):
+    with pytest.raises(UserError, match=r"no run of .* is chosen"):
         prepare(src, out, runs=[])
     for path in [*src.rglob("*.png"), *src.rglob("*.bin")]:
         path.unlink()

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -162,12 +163,32 @@ def rewrite(name: str, change: Callable[[str], str]) -> Callable[[Path], None]:
 
 
 @pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda t: t[:20], r"0001\.txt: line 1 is not 30"),
+        (lambda t: "", r"0001\.txt holds 0 packets"),
+        (lambda t: t.replace("9.0", "99"), "near UTM zone"),
+        (lambda t: t.replace("100.0", "1e9"), "no packet of"),
+    ],
+)
+def test_a_damaged_packet_costs_its_frame_alone(
+    src: Path, tmp_path: Path, change: Callable[[str], str], told: str
+) -> None:
+    rewrite("oxts/data/0000000001.txt", change)(src)
+    with pytest.raises(UserError, match=told):
+        prepare(src, tmp_path / "out")
+    recording = read(src)
+    assert recording.total == 4
+    written = write_recording(recording, tmp_path / "out", skip_bad=True)
+    [skipped] = written.skipped
+    assert skipped.key == f"2011_09_26_drive_0001/{(SECOND + 1) * 1_000_000 + 10_000}"
+    assert re.search(told, skipped.reason)
+    assert [f.timestamp_us // 10**6 - SECOND for f in written.dataset.frames] == [0, 2, 3]
+
+
+@pytest.mark.parametrize(
     ("damage", "told"),
     [
-        (rewrite("oxts/data/0000000001.txt", lambda t: t[:20]), r"0001\.txt: line 1 is not 30"),
-        (rewrite("oxts/data/0000000001.txt", lambda t: ""), r"0001\.txt holds 0 packets"),
-        (rewrite("oxts/data/0000000001.txt", lambda t: t.replace("9.0", "99")), "near UTM zone"),
-        (rewrite("oxts/data/0000000001.txt", lambda t: t.replace("100.0", "1e9")), "no packet of"),
         (rewrite("oxts/timestamps.txt", lambda t: t.replace("13:00:02", "25:00:02")), "line 3"),
         (rewrite("oxts/timestamps.txt", lambda t: t[:40]), r"timestamps\.txt: line 2 is no time"),
         (rewrite("../calib_imu_to_velo.txt", lambda t: t.replace("R: 1", "R: 2")), "no rigid"),

@@ -431,9 +431,29 @@ def test_a_damaged_stream_is_refused_by_offset(src: Path, hits_file: Path) -> No
     hits_file.write_bytes(data)
     with pytest.raises(UserError, match=rf"velodyne_hits\.bin: no packet .* byte {95 * size}"):
         cloud(shots[0])
-    hits_file.write_bytes(bytes(data[:size]) + bytes(200_000))
-    with pytest.raises(UserError, match=r"velodyne_hits\.bin: no packet begins within"):
-        read(src, lidar="velodyne_hits")
+
+
+def test_a_hole_in_a_stream_costs_the_frames_in_it_alone(
+    src: Path, hits_file: Path, tmp_path: Path
+) -> None:
+    data = hits_file.read_bytes()
+    size = len(data) // 500
+    # 200 kB of zeros in place of 2.95 to 2.99 s, the turn of the third picture is from 2.904 on
+    write(hits_file, data[: 295 * size] + bytes(200_000) + data[299 * size :])
+    written = write_recording(read(src, lidar="velodyne_hits"), tmp_path / "out", skip_bad=True)
+    assert [f.timestamp_us for f in written.dataset.frames] == [t + 4_000 for t in SCANS_US[:2]]
+
+
+def test_a_hole_too_large_to_be_searched_is_named_by_the_frame(
+    src: Path, hits_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("adafusion.readers.nclt.velodyne._LARGEST_HOLE", 100_000)
+    data = hits_file.read_bytes()
+    size = len(data) // 500
+    write(hits_file, data[: 150 * size] + bytes(300_000) + data[320 * size :])
+    [shot, *_] = shots_of(src, lidar="velodyne_hits")
+    with pytest.raises(UserError, match=r"velodyne_hits\.bin: no packet begins within 100000"):
+        cloud(shot)
 
 
 # ------------------------------------------------------------------------------------ GPS and more
@@ -476,6 +496,8 @@ def test_a_synthetic_world_says_so(src: Path) -> None:
     assert info.synthetic
     assert info.name == "synthetic world in nclt layout"
     assert info.world == "synthetic world 5 profile tiny version 7"
+    assert info.source.startswith("adafusion synthetic world, version 7, seed 5, profile tiny; ")
+    assert info.source.endswith("every 10 m, Cam5, velodyne_sync, at most 10 ms apart")
     write(src / "manifest.json", "{")
     with pytest.raises(UserError, match=r"manifest\.json is no JSON"):
         read(src)
@@ -484,6 +506,8 @@ def test_a_synthetic_world_says_so(src: Path) -> None:
 def test_settings_that_decide_what_is_written_are_in_its_source(src: Path) -> None:
     source = read(src, every_m=5.0, slop_ms=20.0).info.source
     assert source.endswith("every 5 m, Cam5, velodyne_sync, at most 20 ms apart")
+    source = read(src, calibration=src).info.source
+    assert source.endswith(f"at most 10 ms apart, calibration {src}")
 
 
 def test_it_writes_a_dataset(src: Path, tmp_path: Path) -> None:

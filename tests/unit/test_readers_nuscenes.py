@@ -234,6 +234,21 @@ def change(table: str, row: int, **values: Any) -> Callable[[Path], None]:
     return damage
 
 
+def test_an_image_of_another_kind_costs_its_frame_alone(src: Path) -> None:
+    (src / "samples/CAM_FRONT/image.gif").write_bytes(b"GIF89a")
+    rows = tables()["sample_data"]
+    row = next(i for i, r in enumerate(rows) if "CAM_FRONT" in r["filename"] and r["is_key_frame"])
+    change("sample_data", row, filename="samples/CAM_FRONT/image.gif")(src)
+    told = []
+    for shot in read(src).shots:
+        try:
+            assert shot.image is None or shot.image()
+        except UserError as error:
+            told.append(str(error))
+    assert len(told) == 1
+    assert "image.gif is no .png or .jpg" in told[0]
+
+
 @pytest.mark.parametrize(
     ("damage", "told"),
     [

@@ -294,7 +294,7 @@ def test_overlapping_submaps_of_oxford_come_from_two_tables(oxford: Path, tmp_pa
     np.testing.assert_array_equal(dataset.load(first).points_body[7], (-0.5, 0.25, -0.125))
     assert (dataset.load(first).image == 1).all()
     assert dataset.world == "UTM zone 30N"
-    assert "1 is not a metre" in dataset.info.conventions["cloud_unit"]
+    assert dataset.info.sensors["cloud_unit"].startswith("normalised: 1 is not a metre")
 
 
 def test_disjoint_submaps_of_oxford_say_how_many_are_queries(oxford: Path) -> None:

@@ -8,6 +8,7 @@ import os
 import pickle
 import struct
 import sys
+import tracemalloc
 from pathlib import Path
 from types import ModuleType
 
@@ -16,6 +17,7 @@ import pytest
 
 from adafusion.readers.benchmark_lists import (
     read_evaluation_sets,
+    read_file_names,
     read_image_index,
     read_training_queries,
 )
@@ -187,6 +189,28 @@ def test_it_refuses_every_other_name_and_instruction(write, data: bytes) -> None
         load_pickle(write(data))
 
 
+def nested(levels: int) -> bytes:
+    """Instructions that leave a tuple of two equal tuples of two ... on the stack."""
+    return b")q\x00" + b"h\x00h\x00\x86q\x00" * levels
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        nested(18) + b"X\x01\x00\x00\x00x\x93.",  # as the module of a name
+        b"X\x01\x00\x00\x00x" + nested(18) + b"\x93.",  # as a name
+        b"cnumpy\ndtype\n" + nested(18) + b"\x85R.",  # as the type of an array
+        b"c" + b"a" * 100_000 + b"\nb\n.",
+        b"cnumpy\ndtype\nX\x40\x42\x0f\x00" + b"a" * 1_000_000 + b"\x85R.",
+    ],
+)
+def test_what_it_says_of_a_name_is_short_whatever_stands_for_it(write, data: bytes) -> None:
+    with pytest.raises(UserError, match=r"some\.pickle") as error:
+        load_pickle(write(b"\x80\x04" + data))
+    path = str(write(b""))
+    assert len(str(error.value)) < len(path) + 300
+
+
 def test_arrays_of_objects_and_records_are_refused(write) -> None:
     for value in (np.zeros(2, [("a", "i4")]), np.array(["text"]), np.array([{}], dtype=object)):
         with pytest.raises(UserError, match=r"some\.pickle"):
@@ -237,6 +261,47 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
         file.truncate(1 << 31)
     with pytest.raises(UserError, match="larger than 128 MB"):
         load_pickle(path)
+
+
+@pytest.mark.parametrize("kind", [np.array, list])
+@pytest.mark.parametrize("read", [read_training_queries, read_evaluation_sets, read_image_index])
+def test_rows_that_many_entries_share_are_held_once(write, read, kind) -> None:
+    rows = kind(np.arange(20_000).tolist())
+    entry = {"query": "a", "northing": 1.0, "easting": 2.0, "positives": rows, 0: rows}
+    value: object = {k: dict(entry) for k in range(300)}
+    if read is read_evaluation_sets:
+        value = [value]
+    if read is read_image_index:
+        value = dict.fromkeys(range(300), rows)
+    path = write(pickle.dumps(value))
+    tracemalloc.start()
+    read(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5_000_000  # of 300 copies: 48 MB
+
+
+def test_entries_that_are_shared_are_held_once(write) -> None:
+    entry = {"query": "a", "northing": 1.0, "easting": 2.0} | {k: [] for k in range(1000)}
+    run = dict.fromkeys(range(1000), entry)
+    path = write(pickle.dumps([run] * 100))
+    tracemalloc.start()
+    sets = read_evaluation_sets(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert (len(sets), len(sets[99]), len(sets[99][999].matches)) == (100, 1000, 1000)
+    assert peak < 5_000_000
+    assert read_file_names(path) == {"a"}
+
+
+def test_the_files_of_a_list_are_read_without_its_rows(write) -> None:
+    no_rows = {"query": "a", "positives": "damaged"}
+    assert read_file_names(write(pickle.dumps({0: no_rows, 1: {"query": "b"}}))) == {"a", "b"}
+    assert read_file_names(write(pickle.dumps({0: {"rel_scan_filepath": "c"}}))) == {"c"}
+    assert read_file_names(write(pickle.dumps([{0: {"query": "a"}}, {}]))) == {"a"}
+    for other in (None, [1], {0: 1}, {0: {}}):
+        with pytest.raises(UserError, match=r"some\.pickle.* is not what its name says"):
+            read_file_names(write(pickle.dumps(other)))
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from adafusion.datasets.recording import Recording, Shot
 from adafusion.readers.robotcar import reader as robotcar
 from adafusion.readers.robotcar.files import read_picture, read_poses, read_scan
 from adafusion.readers.robotcar.submaps import looks_down_rad, sweep
+from adafusion.readers.sensors import T_ENU_NED
 from adafusion.readers.track import Track
 from adafusion.types import UserError
 
@@ -176,7 +177,9 @@ def test_the_calibration_is_told(src: Path) -> None:
 def test_an_export_is_never_called_real(src: Path) -> None:
     manifest = {"synthetic": True, "licence": "CC0-1.0", "seed": 3, "profile": "tiny"}
     (src / "manifest.json").write_text(json.dumps(manifest))
-    info = robotcar.read(src).info
+    info = robotcar.read(src, calibration=src).info
+    assert "submaps of 20 m of lms_front, every 10 m" in info.source
+    assert info.source.endswith(f"calibration {src}")
     assert info.synthetic
     assert info.name == "synthetic world in robotcar layout"
     assert info.licence == "CC0-1.0"
@@ -277,7 +280,7 @@ def test_poses_are_north_east_down(tmp_path: Path) -> None:
     row = "7,51.7,-1.2,3.0,10.0,20.0,-3.0,30U,0,0,0,0.0,0.0,1.5707963267948966"  # heads east
     write(tmp_path / "rtk.csv", f"{RTK_HEADER}\n{row}\n")
     poses = read_poses(tmp_path / "rtk.csv")
-    T = robotcar.T_WORLD_NED @ poses.T_ned_ins[0]
+    T = T_ENU_NED @ poses.T_ned_ins[0]
     np.testing.assert_allclose(T[:3, 3], (20.0, 10.0, 3.0))
     np.testing.assert_allclose(T[:3, :3], np.diag([1.0, -1.0, -1.0]), atol=1e-12)
 
@@ -461,6 +464,13 @@ def test_damaged_sensor_files_are_named(src: Path) -> None:
     write(scan, scan.read_bytes()[:-1])
     with pytest.raises(UserError, match=f"{scan.name} is cut short"):
         shot.cloud()
+
+
+def test_a_picture_too_long_to_be_undistorted_is_refused(tmp_path: Path) -> None:
+    write(tmp_path / "long.png", png(np.zeros((4, 40_000), np.uint8)))
+    write(tmp_path / "lut.bin", bytes(16 * 4 * 40_000))
+    with pytest.raises(UserError, match=r"long\.png claims 40000 x 4 pixels, more than any camera"):
+        read_picture(tmp_path / "long.png", tmp_path / "lut.bin", cv2.COLOR_BayerGBRG2RGB)
 
 
 # -------------------------------------------------------------------------------------------- scans

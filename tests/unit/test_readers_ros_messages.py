@@ -25,7 +25,7 @@ from adafusion.readers.bag.messages import (
     header,
 )
 from adafusion.readers.bag.sensors import decode_cloud, decode_picture, encoded_suffix
-from adafusion.readers.calibration import Calibration
+from adafusion.readers.calibration import Calibration, undistort
 from adafusion.types import UserError
 
 NO_LENS = Calibration()
@@ -300,6 +300,27 @@ def test_distortion_is_undone() -> None:
     assert encoded_suffix(compressed_message("jpeg", b"\xff\xd8"), lens) == ".png"
 
 
+def test_fisheye_is_undone() -> None:
+    K = np.array([[40.0, 0, 31.5], [0, 40.0, 31.5], [0, 0, 1]])
+    lens = Calibration(K=K, distortion=(0.0, 0.0, 0.0, 0.0), fisheye=True)
+    # a point at x = 20 px from the axis, atan(0.5) off it, lies at 40 atan(0.5) = 18.5 px
+    image = np.zeros((64, 64, 3), np.uint8)
+    image[:, round(31.5 + 18.5)] = 255
+    message = image_message("rgb8", image.tobytes(), width=64, height=64, step=192)
+    row = decode_picture(message, lens, None)[31, :, 0].astype(float)
+    assert (row @ np.arange(64)) / row.sum() == pytest.approx(31.5 + 20, abs=0.6)
+    assert encoded_suffix(compressed_message("jpeg", b"\xff\xd8"), lens) == ".png"
+
+
+def test_image_that_is_too_long_to_be_undistorted_is_refused() -> None:
+    lens = Calibration(K=np.diag([9.0, 9.0, 1.0]), distortion=(0.1, 0.0, 0.0, 0.0))
+    message = image_message("mono8", bytes(32_767), width=32_767, height=1, step=32_767)
+    with pytest.raises(UserError, match=r"a\.mcap: .*32767x1 pixels"):
+        decode_picture(message, lens, None)
+    fits = image_message("mono8", bytes(32_766), width=32_766, height=1, step=32_766)
+    assert decode_picture(fits, lens, None).shape == (1, 32_766, 3)
+
+
 def camera_info(
     distortion: list[float], model: str = "plumb_bob", *, k: float = 100.0, binning: int = 0
 ) -> Message:
@@ -332,12 +353,34 @@ def test_camera_info_of_binned_images_is_that_of_fewer_pixels() -> None:
 
 
 def test_camera_info_says_what_it_cannot_do() -> None:
-    info = decode_camera_info(camera_info([0.1, 0, 0, 0], "equidistant"), rectified=False)
-    assert "distortion 'equidistant' is not undone" in info.note
-    assert info.calibration.distortion == ()
+    for distortion, model in (
+        ([0.1, 0, 0, 0], "fov"),
+        ([0.1, 0, 0, 0, 0], "equidistant"),
+        ([0.1] * 7, "rational_polynomial"),
+        ([float("nan")] * 5, "plumb_bob"),
+    ):
+        info = decode_camera_info(camera_info(distortion, model), rectified=False)
+        assert f"distortion {model!r} of {len(distortion)} numbers in /topic" in info.note
+        assert "no K is kept" in info.note
+        assert info.calibration.K is None
+        assert not info.calibration.bends
     empty = decode_camera_info(camera_info([], k=0.0), rectified=False)
     assert "nobody calibrated" in empty.note
     assert empty.calibration.K is None
+
+
+@pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
+def test_camera_info_may_have_as_many_numbers_as_opencv_knows(count: int) -> None:
+    info = decode_camera_info(camera_info([0.1] * count, "rational_polynomial"), rectified=False)
+    assert info.calibration.distortion == (0.1,) * count
+    undistort(np.zeros((4, 6, 3), np.uint8), info.calibration.K, info.calibration.distortion)
+
+
+def test_camera_info_of_a_fisheye_bends_without_numbers() -> None:
+    info = decode_camera_info(camera_info([0, 0, 0, 0], "equidistant"), rectified=False)
+    assert info.calibration.fisheye
+    assert info.calibration.bends
+    assert not info.note
 
 
 def test_odometry_names_its_frames() -> None:

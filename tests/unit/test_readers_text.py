@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,21 @@ def test_text_that_is_missing_or_a_folder_is_refused(tmp_path: Path) -> None:
         read_text(tmp_path / "none", "fetch it")
     with pytest.raises(UserError, match=r"cannot be read .*: fetch it"):
         read_text(tmp_path, "fetch it")
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no pipes among its files")
+def test_only_a_regular_file_of_bounded_size_is_text(tmp_path: Path) -> None:
+    pipe, device, large = (tmp_path / name for name in ("pipe", "device", "large"))
+    os.mkfifo(pipe)
+    device.symlink_to("/dev/zero")
+    with large.open("wb") as file:
+        file.truncate(2**31 + 1)  # of which nothing is on disk
+    for path, told in ((pipe, "no regular file"), (device, "no regular file"), (large, "2048 MB")):
+        with pytest.raises(UserError, match=rf"{path.name} cannot be read .*{told}.*: fetch it"):
+            read_text(path, "fetch it")
+        with pytest.raises(UserError, match=rf"{path.name} cannot be read .*{told}.*: fetch it"):
+            read_numbers(path, 3, remedy="fetch it")
 
 
 def test_numbers_are_read_past_comments_and_blank_lines(table) -> None:

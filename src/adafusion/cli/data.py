@@ -171,15 +171,17 @@ def prepare(
     from adafusion.readers import prepare as run
 
     if list_topics:
+        from adafusion.readers import READERS
         from adafusion.readers.bag.reader import describe_topics
 
-        print(describe_topics(paths[-1]))
+        print(describe_topics(paths[1] if paths[0] in READERS and len(paths) > 1 else paths[0]))
         return
     if len(paths) not in (2, 3):
         raise UserError("give [KIND] SRC OUT: the data, and the folder of the new dataset")
     *kind, src, out = paths
+    chosen = None if runs is None else split_names(runs)
     given = {
-        "runs": None if runs is None else split_names(runs),
+        "runs": chosen,
         "every_m": every_m,
         "camera": camera,
         "lidar": lidar,
@@ -207,8 +209,14 @@ def prepare(
         say(f"left out, {len(skipped)} damaged, all listed in {Path(out) / SKIPPED_FILE}:")
         for one in skipped[:10]:
             say(f"  {one.reason}")
-    say(
-        f"{written.frames_per_second:.1f} frames/s; of the work {100 * written.decode_share:.0f} % "
-        f"was decoding"
-    )
-    print(f"{out}: {len(dataset.frames)} frames in {len(dataset.runs)} runs")
+    if written.resumed < len(dataset.frames):
+        say(
+            f"{written.frames_per_second:.1f} frames/s; of the work "
+            f"{100 * written.decode_share:.0f} % was decoding"
+        )
+    else:
+        say("all frames were there already")
+    if missing := sorted(set(chosen or []) - set(dataset.runs)):
+        say(f"warning: no frame of {', '.join(missing)} is left, see above")
+    runs_there = f"{len(dataset.runs)} run{'s' if len(dataset.runs) > 1 else ''}"
+    print(f"{out}: {len(dataset.frames)} frames in {runs_there}")

@@ -85,7 +85,8 @@ def _to_json(diagnosis: Diagnosis) -> str:
 def _to_text(diagnosis: Diagnosis) -> str:
     columns = max(NARROW, min(shutil.get_terminal_size((WIDE, 24)).columns, WIDE))
     count = {
-        level: sum(f.level == level for f in diagnosis.findings) for level in ("fail", "warn", "ok")
+        level: sum(f.level == level for f in diagnosis.findings)
+        for level in ("fail", "warn", "ok", "skip")
     }
     return "\n".join(
         [
@@ -96,7 +97,8 @@ def _to_text(diagnosis: Diagnosis) -> str:
             "",
             *(_lines(finding, columns) for finding in diagnosis.findings),
             "",
-            f"{count['fail']} fail, {count['warn']} warn, {count['ok']} ok",
+            f"{count['fail']} fail, {count['warn']} warn, {count['ok']} ok, {count['skip']} - (not "
+            "judged)",
         ]
     )
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from adafusion.cli.common import Cache, bar, cache_folder, open_data, say, split_names
+from adafusion.cli.common import Cache, bar, cache_folder, check_unit, open_data, say, split_names
 
 if TYPE_CHECKING:
     from adafusion.datasets import Dataset
@@ -96,6 +96,8 @@ def evaluate(
         seed=seed,
     )
     models = [load_model(name) for name in config.models]
+    for loaded in models:
+        check_unit(opened, loaded)
     for name in config.models:
         if trained_on(name, opened):
             say(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from adafusion.cli.common import bar, choose_frames, open_data, say
+from adafusion.cli.common import bar, check_unit, choose_frames, open_data, say
 
 if TYPE_CHECKING:
     import numpy as np
@@ -176,6 +176,7 @@ def _locate_frames(
     import numpy as np
 
     dataset = open_data(path)
+    check_unit(dataset, localizer.model)
     chosen = choose_frames(dataset, runs, frames)
     world = localizer.place_map.header.world
     same_world = world == dataset.world
@@ -234,6 +235,7 @@ def _describe(dataset: Dataset, model: PlaceModel, runs: str | None, frames: str
     from adafusion.models import describe, frame_batches
     from adafusion.types import UserError, lacking
 
+    check_unit(dataset, model)
     chosen = choose_frames(dataset, runs, frames)
     usable = [frame for frame in chosen if not lacking(frame, model.sensors)]
     if not usable:

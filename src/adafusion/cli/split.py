@@ -15,7 +15,7 @@ from adafusion.types import UserError
 
 if TYPE_CHECKING:
     from adafusion.datasets import Dataset
-    from adafusion.datasets.splits import Published
+    from adafusion.datasets.splits import Published, SplitFile
     from adafusion.evaluation.split_counts import SplitCounts
 
 Plain = dict[str, list[list[float]]]
@@ -119,8 +119,9 @@ def split(
         about += f": {shares} in blocks of {block_m:g} m, guard {guard_m:g} m, seed {seed}"
 
     print(_headline(data))
-    if check and not ways:
-        _check_all(data)
+    fitting = _fitting(data) if check and not ways else []
+    if fitting:
+        _check_all(data, fitting)
     else:
         counts = count_split(data.frames, data.positions_m, regions)
         if ways and not counts.frames[TEST]:
@@ -169,13 +170,18 @@ def _cut(
     import numpy as np
 
     from adafusion.datasets.blocks import cut_region
+    from adafusion.datasets.splits import VALIDATION
 
     # one generator a region: validation is drawn alike whatever the test was drawn from
     rng = np.random.default_rng([seed, *region.encode()])
     xy, runs = data.positions_m[:, :2], [frame.run for frame in data.frames]
-    regions, chosen = cut_region(
-        region, share, regions, xy, runs, rng, block_m=block_m, buffer_m=guard_m
-    )
+    try:
+        regions, chosen = cut_region(
+            region, share, regions, xy, runs, rng, block_m=block_m, buffer_m=guard_m
+        )
+    except UserError as error:
+        without = "; or go without: --validation 0" if region == VALIDATION else ""
+        raise UserError(f"{region}: {error}{without}") from error
     say(
         f"{region}: {chosen.blocks} of {chosen.eligible} blocks that two runs or more visit and no "
         f"other region is near ({chosen.visited} are visited at all)"
@@ -195,7 +201,10 @@ def _by_hand(texts: Sequence[str], guard_m: float) -> tuple[Plain, str]:
         except ValueError:
             box = []
         if name not in (TEST, VALIDATION) or not box:
-            raise UserError(f"--box {text}: write test=XMIN,YMIN,XMAX,YMAX or validation=..., m")
+            raise UserError(
+                f"--box {text}: write test=XMIN,YMIN,XMAX,YMAX or validation=..., in metres; XMIN "
+                "must be below XMAX, YMIN below YMAX"
+            )
         regions.setdefault(name, []).append(box)
     try:
         return with_guard(regions, guard_m), f"boxes by hand, guard {guard_m:g} m"
@@ -203,15 +212,22 @@ def _by_hand(texts: Sequence[str], guard_m: float) -> tuple[Plain, str]:
         raise UserError(f"{error}: give other boxes, or another --buffer-m") from error
 
 
-def _check_all(data: Dataset) -> None:
+def _fitting(data: Dataset) -> list[SplitFile]:
+    """The splits that come with the package and are for the world of these data."""
     from adafusion.datasets.splits import named_splits
-    from adafusion.evaluation.split_counts import count_split
 
     fitting = [known for known in named_splits().values() if known.fits(data.world)]
     if not fitting:
-        raise UserError(
-            f"no split that comes with the package is for {data.world}: cut one by --auto or --box"
+        say(
+            f"no split that comes with the package is for {data.world}: these are the dataset's "
+            "own regions; cut others by --auto or --box"
         )
+    return fitting
+
+
+def _check_all(data: Dataset, fitting: Sequence[SplitFile]) -> None:
+    from adafusion.evaluation.split_counts import count_split
+
     distances = {}
     for known in fitting:
         counts = count_split(data.frames, data.positions_m, known.boxes())
@@ -265,7 +281,8 @@ def _table(title: str, counts: SplitCounts, published: Published | None) -> str:
     for words, number, key in rows:
         said = f"{getattr(published, key):12,}{off[key]:+9.1%}" if key in off else ""
         lines.append(f"  {words:34}{number:12,}{said}")
-    lines.append(f"  {'nearest train to test frame':34}{counts.nearest_m:10.1f} m")
+    nearest = f"{counts.nearest_m:10.1f} m" if counts.nearest_m < float("inf") else f"{'none':>12}"
+    lines.append(f"  {'nearest train to test frame':34}{nearest}")
     if published:
         most = possible_pairs(published.train_frames)
         lines.append(f"  Paper: {published.source}.")

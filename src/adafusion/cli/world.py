@@ -171,6 +171,8 @@ def export(
 
     run(kind, out, seed=seed, runs=split_names(runs), profile=profile, places=places, progress=bar)
     say("SYNTHETIC: the manifest says so, and so must whoever passes the files on")
+    spacing = {"nclt": " --every-m 0", "robotcar": " --every-m 5"}.get(kind, "")  # of its pictures
+    say(f"a dataset again: adafusion prepare {kind} {out} {out}-prepared{spacing}")
     print(out)
 
 

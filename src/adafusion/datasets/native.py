@@ -182,6 +182,9 @@ def _read_info(root: Path) -> tuple[DatasetInfo, dict[str, int]]:
         if not isinstance(values[key], kind):
             raise UserError(f"{path}: {key} is no {kind.__name__}: {values[key]!r}; mend the entry")
     counts = {str(run): count for run, count in values["runs"].items()}
+    for run, count in counts.items():
+        if type(count) is not int:
+            raise UserError(f"{path}: run {run} has {count!r} for a number of frames; mend it")
     try:
         regions = {
             name: [[float(edge) for edge in box] for box in boxes]

@@ -22,8 +22,8 @@ from jaxtyping import Float, UInt8
 
 from adafusion.datasets.native import Dataset, DatasetInfo, open_dataset
 from adafusion.datasets.sensor_files import check_points, write_cloud, write_image
+from adafusion.datasets.writer import SKIPPED_FILE as SKIPPED_FILE
 from adafusion.datasets.writer import DatasetWriter, check_run_name
-from adafusion.files import write_text
 from adafusion.types import Frame, Progress, UserError, silent
 from adafusion.workers import map_in_processes
 
@@ -51,14 +51,13 @@ class Recording:
 
     # `source` names the reader's settings (spacing, camera, slop): another setting, another dataset
     info: DatasetInfo
-    shots: Iterable[Shot]  # read once, in order; a generator where the source is a stream
+    # read once, in order; a generator where the source is a stream. An iterator may raise UserError
+    # for what is damaged and go on with the next shot
+    shots: Iterable[Shot]
     total: int | None = None  # how many, where that is known
     # what a person should know, as "12 of 400 scans have no image within 10 ms: left out"; a
     # generator of shots may append to it to the end
     notes: list[str] = field(default_factory=list)
-
-
-SKIPPED_FILE = "skipped.txt"  # of a dataset that lacks what was damaged
 
 
 class Skipped(NamedTuple):
@@ -105,12 +104,12 @@ def write_recording(
     A few frames for each of `workers` processes are in memory at a time. A job that was cut off
     goes on where it was when it is asked for the same again. With `skip_bad` a frame whose image or
     cloud is damaged is left out and listed, and so is the rest of a stream that breaks off;
-    otherwise UserError names the first, and there is no `out` then.
+    otherwise UserError names the first. There is no `out` then, and none without frames.
     """
     start = time.perf_counter()
     clock = _Clock()
     skipped: list[Skipped] = []
-    resumed = 0
+    kept = resumed = 0
     with DatasetWriter(out, recording.info) as writer:
         tasks = _tasks(recording, writer, skip_bad, skipped, clock)
         work = partial(_make, writer.folder, skip_bad)
@@ -121,11 +120,13 @@ def write_recording(
             if result.fault is not None:
                 skipped.append(Skipped(result.frame.key, result.fault))
                 continue
+            kept += 1
             resumed += result.was_there
             writer.add_written(result.frame)
-    if skipped:
-        lines = (f"{one.key or 'the rest'}: {one.reason}\n" for one in skipped)
-        write_text(Path(out) / SKIPPED_FILE, "".join(lines))
+        if skipped and not kept:
+            first = "; ".join(one.reason for one in skipped[:3])
+            raise UserError(f"{out}: no frame is left, {len(skipped)} faults were found: {first}")
+        writer.list_skipped("".join(f"{one.key or 'the rest'}: {one.reason}\n" for one in skipped))
     return Written(
         dataset=open_dataset(out),
         skipped=tuple(skipped),
@@ -170,11 +171,11 @@ def _tasks(
         before = time.perf_counter()
         try:
             shot = next(shots, None)
-        except UserError as error:  # a stream that breaks off: what came before it is whole
+        except UserError as error:  # a stream that breaks off; another may come after it
             if not skip_bad:
                 raise
             skipped.append(Skipped("", str(error)))
-            return
+            continue
         finally:
             clock.reading += time.perf_counter() - before
         if shot is None:

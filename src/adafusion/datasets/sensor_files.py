@@ -5,22 +5,30 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import math
 import os
-import zlib
+import stat
+from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Shaped, UInt8
 
+from adafusion.datasets.image_headers import claimed_size
 from adafusion.files import atomic_path
 from adafusion.types import Observation, UserError
 
 IMAGE_SUFFIXES = (".png", ".jpg")
 
-_MOST_PIXELS = 2**27  # no camera has as many, and a damaged header may claim any number
+_LARGEST_BYTES = 2**30  # of a sensor's file; a cloud of 50 million points is smaller
+# A damaged header may claim any number. A lens of a Ladybug has 2 million pixels and a camera for
+# surveys 50 million; of these, an image and its copy take 400 MB.
+_MOST_PIXELS = 2**26
+_LONGEST_SIDE_PX = 2**15 - 2  # OpenCV remaps no longer one
 _NPY_HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
@@ -28,17 +36,23 @@ _NPY_HEADERS = {
 
 
 def read_image(path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
-    """Read a PNG or JPEG file as RGB; UserError where it is missing, cut short or damaged."""
+    """Read an image file as RGB; UserError where it is missing, cut short or damaged."""
     return decode_image(read_bytes(Path(path), "image"), path)
 
 
 def decode_image(data: bytes, path: str | Path) -> UInt8[np.ndarray, "h w 3"]:
-    """Decode the bytes of a PNG or JPEG file to RGB; `path` serves the error message only."""
+    """Decode a PNG, JPEG, TIFF or BMP file to RGB; `path` serves the error message only."""
     # decoders differ in what they make of a cut file: a part filled up with grey, or an error
+    try:
+        height, width = claimed_size(data)
+    except ValueError as error:
+        raise damaged(path, str(error), "image") from None
+    if height * width > _MOST_PIXELS or max(height, width) > _LONGEST_SIDE_PX:
+        what = f"claims {width} x {height} pixels, more than any camera has"
+        raise damaged(path, what, "image")
     image = None
-    if _is_whole(data) and _claimed_pixels(data) <= _MOST_PIXELS:
-        with contextlib.suppress(cv2.error):  # of an image too large for it
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    with contextlib.suppress(cv2.error):
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise damaged(path, "is damaged or cut short", "image")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
@@ -58,7 +72,7 @@ def read_cloud(path: str | Path) -> Float32[np.ndarray, "n 3"]:
 def load_array(path: str | Path) -> Shaped[np.ndarray, "*shape"]:
     """The array of a .npy file of a cloud; UserError where it is damaged or claims too much."""
     try:
-        with Path(path).open("rb") as file:
+        with open_regular(path, _LARGEST_BYTES) as file:
             version = np.lib.format.read_magic(file)
             read_header = _NPY_HEADERS[version]
             shape, _, dtype = read_header(file)
@@ -87,49 +101,36 @@ def check_points(points: Float[np.ndarray, "n 3"], path: str | Path) -> Float[np
 def read_bytes(path: Path, kind: str) -> bytes:
     """All bytes of a sensor file; UserError where it cannot be read. `kind`: "image" or "cloud"."""
     try:
-        return path.read_bytes()
+        with open_regular(path, _LARGEST_BYTES) as file:
+            return file.read()
     except FileNotFoundError:
         raise damaged(path, "is missing", kind) from None
     except OSError as error:
         raise damaged(path, f"cannot be read ({error.strerror})", kind) from error
 
 
+@contextlib.contextmanager
+def open_regular(path: str | Path, largest_bytes: int) -> Iterator[BinaryIO]:
+    """Open a file to read; OSError, too, where it is larger or is none.
+
+    A folder from elsewhere may hold pipes and links to devices, whose reading never ends.
+    """
+    with open(path, "rb", opener=_open_at_once) as file:  # Path.open takes no opener
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "no regular file")
+        if found.st_size > largest_bytes:
+            raise OSError(errno.EFBIG, f"larger than {largest_bytes >> 20} MB")
+        yield file
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a pipe would wait for its writer
+
+
 def damaged(path: str | Path, what: str, kind: str) -> UserError:
     """What to say of a sensor file that cannot be used. `kind`: "image" or "cloud"."""
     return UserError(f"{path} {what}: replace it with a whole {kind}, or leave it out")
-
-
-def _is_whole(data: bytes) -> bool:
-    """Whether a PNG has all chunks with right sums up to IEND, a JPEG its end marker."""
-    if data.startswith(b"\xff\xd8"):
-        return data.rstrip(b"\0").endswith(b"\xff\xd9")  # some cameras pad with zeros
-    if not data.startswith(b"\x89PNG\r\n\x1a\n"):
-        return len(data) > 0  # another format: the decoder's word is all there is
-    start = 8
-    while start + 12 <= len(data):
-        end = start + 12 + int.from_bytes(data[start : start + 4], "big")
-        body, checksum = data[start + 4 : end - 4], data[end - 4 : end]
-        if end > len(data) or zlib.crc32(body) != int.from_bytes(checksum, "big"):
-            return False
-        if body.startswith(b"IEND"):
-            return True
-        start = end
-    return False
-
-
-def _claimed_pixels(data: bytes) -> int:
-    """Width times height by the header of a PNG or JPEG; 0 where there is none."""
-    if data.startswith(b"\x89PNG"):
-        width, height = data[16:20], data[20:24]
-        return int.from_bytes(width, "big") * int.from_bytes(height, "big")
-    start = 2
-    while data.startswith(b"\xff\xd8") and start + 9 <= len(data) and data[start] == 0xFF:
-        marker, length = data[start + 1], int.from_bytes(data[start + 2 : start + 4], "big")
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):  # start of frame
-            height, width = data[start + 5 : start + 7], data[start + 7 : start + 9]
-            return int.from_bytes(width, "big") * int.from_bytes(height, "big")
-        start += 2 + length
-    return 0
 
 
 def write_observation(

@@ -31,6 +31,8 @@ from adafusion.datasets.splits import Regions
 from adafusion.files import atomic_path, claim_folder, write_text
 from adafusion.types import Frame, Observation, UserError
 
+SKIPPED_FILE = "skipped.txt"  # beside dataset.yaml, where a dataset lacks what was damaged
+
 
 class DatasetWriter:
     """Writes a dataset that is either whole or not there, and resumes one that was cut off.
@@ -49,6 +51,7 @@ class DatasetWriter:
         self.info = info
         self.folder = partial_folder(self.out)
         self._frames: dict[str, Frame] = {}
+        self._skipped = ""
 
     def __enter__(self) -> DatasetWriter:
         if self.out.exists():
@@ -101,6 +104,10 @@ class DatasetWriter:
                 raise ValueError(f"frame {frame.key} names {name}, which nobody wrote")
         self._frames[frame.key] = frame
 
+    def list_skipped(self, text: str) -> None:
+        """Say in `SKIPPED_FILE` what the dataset lacks."""
+        self._skipped = text
+
     def __exit__(
         self,
         kind: type[BaseException] | None,
@@ -122,6 +129,8 @@ class DatasetWriter:
         for frame in sorted(self._frames.values(), key=lambda f: (f.run, f.timestamp_us)):
             runs.setdefault(frame.run, []).append(frame)
         self._remove_strays()
+        if self._skipped:
+            write_text(self.folder / SKIPPED_FILE, self._skipped)
         for run, frames in runs.items():
             with atomic_path(table_path(self.folder, run)) as temporary:
                 pq.write_table(_to_table(frames), temporary, write_page_checksum=True)
@@ -171,10 +180,24 @@ def _cannot_write(folder: Path, error: OSError) -> UserError:
     )
 
 
+_LONGEST_NAME_BYTES = 200  # file systems take 255
+_RESERVED = ("dataset.yaml", SKIPPED_FILE)
+
+
 def check_run_name(run: str) -> None:
     """UserError where a run's name cannot name a folder of its own."""
-    if not run or run.startswith(".") or Path(run).name != run or "\\" in run:
-        raise UserError(f"run name {run!r} cannot name a folder: use letters, digits, - and _")
+    if (
+        not run.isprintable()  # which lone surrogates are not either
+        or not 0 < len(run.encode()) <= _LONGEST_NAME_BYTES
+        or run.startswith(".")
+        or Path(run).name != run
+        or "\\" in run
+        or run.casefold() in _RESERVED
+    ):
+        raise UserError(
+            f"run name {run!r} cannot name a folder: use letters, digits, - and _, at most "
+            f"{_LONGEST_NAME_BYTES} bytes"
+        )
 
 
 def _to_yaml(info: DatasetInfo, counts: dict[str, int] | None = None) -> str:

@@ -91,8 +91,8 @@ def camera_pose(cameras: Mapping[str, CameraModel]) -> Finding:
             np.rad2deg(np.arcsin(np.clip(up, -1, 1))),
         )
         words = (
-            f"at x {x:.2f}, y {y:.2f}, z {z:.2f} m; looks {aside:+.1f} deg left of ahead, "
-            f"{above:+.1f} deg up"
+            f"at x {x:.2f}, y {y:.2f}, z {z:.2f} m; looks {_turned(aside, 'left', 'right')} of "
+            f"ahead, {_turned(above, 'up', 'down')}"
         )
         if -R[2, 1] < np.cos(UPRIGHT_RAD):
             wrong.append(f"{run}: the image's down side is not down; {words}")
@@ -111,6 +111,11 @@ def camera_pose(cameras: Mapping[str, CameraModel]) -> Finding:
     )
 
 
+def _turned(degrees: float, positive: str, negative: str) -> str:
+    shown = round(degrees, 1)
+    return f"{abs(shown):.1f} deg {positive if shown >= 0 else negative}"
+
+
 def projection(table: Table, looks: Sequence[Look]) -> Finding:
     """Whether the camera looks at what the LiDAR sees."""
     check = "projection"
@@ -126,7 +131,7 @@ def projection(table: Table, looks: Sequence[Look]) -> Finding:
     level = judge(-least, warn=-VIEW_WARN, fail=-VIEW_FAIL)
     what = f"{percent(least)} of the points fall into the image (median of {run})"
     if level == "ok":
-        return ok(check, f"{what}; see the pictures of --html")
+        return ok(check, f"{what}; whether onto the right things only pictures show")
     return Finding(
         check=check,
         level=level,

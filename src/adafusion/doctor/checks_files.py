@@ -17,6 +17,7 @@ from adafusion.doctor.looks import LEAST_STEP_M, Look
 from adafusion.doctor.table import Table
 
 SENSORS = ("image", "cloud")
+ALONE = {"image": "lidar-s", "cloud": "image-s"}  # models for sets that have none of it
 COPIED_SHARE = 0.5  # of a run's files that are files of another run: it is no run of its own
 FROZEN_FAIL_SHARE = 0.1
 
@@ -44,14 +45,22 @@ def sensors(table: Table) -> Finding:
     rows = np.flatnonzero(np.logical_or.reduce(list(lacking.values())))
     words = ", ".join(f"{count} have no {name}" for name, count in n_lacking.items())
     runs = [run for run, _ in by_run(table, rows)]
+    remedy = next(
+        (
+            f"Where there is no such sensor, take --model {m}."
+            for s, m in ALONE.items()
+            if lacking[s].all()
+        ),
+        "Prepare with a larger --slop-ms if sensors only miss each other in time; else leave it: a "
+        "map takes such frames.",
+    )
     return Finding(
         check=check,
         level="warn",
         what=f"of {n} frames {words}; runs {', '.join(runs[:5])}",
         why="Training and evaluation of a fused model leave out frames that lack a sensor; checks "
         "of axes need the orientation.",
-        remedy="Prepare with a larger --slop-ms if sensors only miss each other in time; else leave"
-        " it: a map takes such frames.",
+        remedy=remedy,
         frames=examples(table, rows),
     )
 

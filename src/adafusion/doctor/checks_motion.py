@@ -209,7 +209,7 @@ def tilt(table: Table) -> Finding:
         return skip(check, "no pose has an orientation")
     angle = np.arccos(np.clip(table.T_world_body[rows, 2, 2], -1, 1))
     share, median = float(np.mean(angle > TILT_RAD)), float(np.median(angle))
-    what = f"median {np.rad2deg(median):.1f} deg, at most {np.rad2deg(angle.max()):.0f} deg"
+    what = f"median {np.rad2deg(median):.1f} deg, at most {np.rad2deg(angle.max()):.1f} deg"
     if share <= TILT_SHARE and median <= TILT_MEDIAN_RAD:
         return ok(check, what)
     return Finding(

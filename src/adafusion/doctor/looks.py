@@ -19,14 +19,13 @@ from adafusion.geometry import invert, transform
 from adafusion.preprocess import Preprocess
 from adafusion.preprocess.ground import remove_ground
 from adafusion.preprocess.voxels import voxelize
+from adafusion.readers.ground import ground_below
 from adafusion.types import UserError
 
 THUMB = (64, 48)  # (width, height): sensor noise averages out, a moved scene does not
 WHITE = 250  # a channel at or above it says nothing any more
 
-GROUND_RING_M = (2.5, 12.0)  # beyond the vehicle's own body, near enough for slopes not to matter
-GROUND_CELL_M = 2.0
-GROUND_CELLS = 8  # with fewer the median is chance
+EYE_M = 2.0  # what is higher above z = 0 is no ground, by whatever height the LiDAR is wrong
 
 WALL_M = (0.7, 6.0)  # heights that show motion: the ground looks alike after any step
 NEAR_M = 30.0
@@ -55,7 +54,7 @@ class CloudLook:
     range_m: float  # from the body's origin, 99th percentile
     in_box: float  # share of the points in the voxel box
     occupied: int  # cells of the grid
-    ground_m: float  # height of the ground around the vehicle; NaN where too little is seen
+    ground_m: float  # height of the ground under the vehicle; NaN where too little is seen
     above: float  # share of the points more than a metre above z = 0
     below: float  # and more than a metre below it
     in_view: float | None  # share of the points that fall into the image; None: not known
@@ -180,19 +179,9 @@ def _cloud_look(
 
 
 def ground_height_m(points_body: Float[np.ndarray, "n 3"]) -> float:
-    """Height of the ground around a vehicle; NaN where too few cells about it hold points.
-
-    The lowest point of each cell of a ring, and of these a low one: cells that see only a wall or a
-    car lie above the ground, the few that see a reflection lie below.
-    """
-    distance = np.hypot(points_body[:, 0], points_body[:, 1])
-    ring = points_body[(distance > GROUND_RING_M[0]) & (distance < GROUND_RING_M[1])]
-    across = int(2 * GROUND_RING_M[1] / GROUND_CELL_M) + 2
-    column, row = np.floor(ring[:, :2] / GROUND_CELL_M).astype(np.int64).T + across // 2
-    lowest = np.full(across * across, np.inf)
-    np.minimum.at(lowest, row * across + column, ring[:, 2])
-    lowest = lowest[np.isfinite(lowest)]
-    return float(np.quantile(lowest, 0.3)) if len(lowest) >= GROUND_CELLS else float("nan")
+    """Height of the ground under a vehicle; NaN where the cloud does not show it."""
+    below_m = ground_below(points_body - np.array([0.0, 0.0, EYE_M]))
+    return float("nan") if below_m is None else EYE_M - below_m
 
 
 def _walls(points: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "m 3"]:

@@ -104,12 +104,23 @@ def _histogram(title: str, axis: str, values: Float[np.ndarray, " n"]) -> Any:
     with import_module("matplotlib.style").context(["default", plots.STYLE]):
         figure = import_module("matplotlib.figure").Figure((3.6, 2.3), layout="constrained")
         axes = figure.subplots()
-        axes.hist(values, bins=min(BINS, len(np.unique(values)) + 1), color=plots.LIDAR)
+        axes.hist(values, bins=bar_edges(values), color=plots.LIDAR)
         axes.set_title(title)
         axes.set_xlabel(axis)
         axes.set_ylabel("frames")
         axes.xaxis.set_major_locator(import_module("matplotlib.ticker").MaxNLocator(5))
     return figure
+
+
+def bar_edges(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " e"]:
+    """Edges of a histogram's bars; one value alone is a narrow bar in the middle."""
+    alone = np.ptp(values) == 0
+    reach = max(abs(values[0]) / 10, 0.5)
+    return np.histogram_bin_edges(
+        values,
+        bins=BINS + 1 if alone else min(BINS, len(np.unique(values)) + 1),
+        range=(values[0] - reach, values[0] + reach) if alone else None,
+    )
 
 
 def _chosen(diagnosis: Diagnosis) -> list[tuple[int, str]]:

@@ -74,7 +74,9 @@ def guess_kind(src: str | Path) -> str:
     if len(kinds) == 1:
         return kinds[0]
     found = f"may be {' or '.join(kinds)}" if kinds else "is laid out like no format known here"
-    raise UserError(f"{src} {found}: name the kind, one of {', '.join(READERS)}")
+    raise UserError(
+        f"{src} {found}: name the kind, one of {', '.join(READERS)}, which then says what it misses"
+    )
 
 
 def read_recording(src: str | Path, kind: str | None = None, **options: object) -> Recording:

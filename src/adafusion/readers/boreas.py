@@ -34,13 +34,13 @@ from adafusion.datasets.native import CONVENTIONS, DatasetInfo
 from adafusion.datasets.recording import Recording, Shot
 from adafusion.datasets.sensor_files import IMAGE_SUFFIXES
 from adafusion.geometry import invert, pose
+from adafusion.readers.calibration import is_camera_matrix
 from adafusion.readers.ground import measure_height
 from adafusion.readers.runs import choose_runs, files_by_stamp, matches
 from adafusion.readers.sensors import (
     check_rigid,
     encoded_image,
-    is_projection,
-    read_points,
+    read_xyz,
     to_body,
     world_of,
 )
@@ -166,7 +166,7 @@ class _Drive:
 def _read_drive(folder: Path, every_m: float, slop_ms: float, notes: list[str]) -> _Drive:
     run = folder.name
     P = _read_matrix(folder / "calib/P_camera.txt", rows=(3, 4))
-    if not is_projection(P[:3, :3]):
+    if not is_camera_matrix(P[:3, :3]):
         raise UserError(f"{folder / 'calib/P_camera.txt'} is no projection: {_FETCH}")
     T_camera_lidar = _read_motion(folder / "calib/T_camera_lidar.txt")
     R_body_lidar = _R_BODY_APPLANIX @ _read_motion(folder / "calib/T_applanix_lidar.txt")[:3, :3]
@@ -237,7 +237,7 @@ def _shots(drive: _Drive, lidar_height_m: float) -> Iterator[Shot]:
 
 
 def _read_scan(path: Path) -> Float32[np.ndarray, "n 3"]:
-    return read_points(path, _RECORD_BYTES)
+    return read_xyz(path, _RECORD_BYTES)
 
 
 def _level(path: Path, R_body_lidar: Float64[np.ndarray, "3 3"]) -> Float32[np.ndarray, "n 3"]:

@@ -20,6 +20,7 @@ from jaxtyping import Float, Float32, Shaped
 
 from adafusion.datasets.sensor_files import check_points, damaged, load_array, read_bytes
 from adafusion.readers.cloud_formats import PARSERS, join_columns
+from adafusion.readers.sensors import without_origin
 from adafusion.types import UserError
 
 CLOUD_SUFFIXES = (".bin", ".npy", ".pcd", ".ply", ".las")
@@ -31,9 +32,9 @@ _FEW_NUMBERS = 256  # of a .bin that is too small to tell its columns by its sig
 def read_points(path: str | Path, *, columns: int | None = None) -> Float32[np.ndarray, "n 3"]:
     """Read x y z of a cloud, metres, in the frame that the file has; UserError where it is damaged.
 
-    Points that are not finite or lie beyond 10 km are left out: so sensors mark rays that met
-    nothing. (Only a .bin, which has no other sign of damage, is refused for a NaN.) `columns`, 3 or
-    4, says how many numbers a point of a .bin has where the file itself does not tell.
+    Points that are not finite, lie beyond 10 km or at 0 0 0 are left out: so sensors mark rays that
+    met nothing. (Only a .bin, which has no other sign of damage, is refused for a NaN.) `columns`,
+    3 or 4, says how many numbers a point of a .bin has where the file itself does not tell.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -61,7 +62,7 @@ def read_points(path: str | Path, *, columns: int | None = None) -> Float32[np.n
             f"{path}: most points lie more than {FAR_M / 1000:.0f} km from the origin: they are in "
             f"the coordinates of a map; save each cloud in the frame of its sensor, in metres"
         )
-    return check_points(points[near].astype(np.float32), path)
+    return check_points(without_origin(points[near].astype(np.float32)), path)
 
 
 def count_columns(numbers: Float32[np.ndarray, " n"]) -> int:

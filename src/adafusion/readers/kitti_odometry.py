@@ -14,7 +14,7 @@ frame lies under the Velodyne, on the ground, with the Velodyne's axes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,14 +26,9 @@ from adafusion.datasets.native import CONVENTIONS, DatasetInfo
 from adafusion.datasets.recording import Recording, Shot
 from adafusion.datasets.sensor_files import IMAGE_SUFFIXES
 from adafusion.geometry import invert, pose
-from adafusion.readers.runs import files_by_stamp, matches
-from adafusion.readers.sensors import (
-    check_rigid,
-    encoded_image,
-    is_projection,
-    read_points,
-    to_body,
-)
+from adafusion.readers.calibration import is_camera_matrix
+from adafusion.readers.runs import choose_runs, files_by_stamp, matches
+from adafusion.readers.sensors import check_rigid, encoded_image, read_xyz, to_body
 from adafusion.readers.text import read_numbers, read_text
 from adafusion.readers.track import keyframes
 from adafusion.types import Frame, UserError
@@ -94,7 +89,39 @@ def read(src: str | Path, *, runs: Sequence[str] | None = None, every_m: float =
 
 def read_velodyne(path: str | Path) -> Float32[np.ndarray, "n 3"]:
     """Points of a KITTI scan in the Velodyne frame, metres; UserError where the file is damaged."""
-    return read_points(Path(path), _RECORD_BYTES)
+    return read_xyz(Path(path), _RECORD_BYTES)
+
+
+def read_matrices(
+    path: Path, shapes: Mapping[str, tuple[int, int]], remedy: str
+) -> list[Float[np.ndarray, "rows columns"]]:
+    """Matrices of a calibration file with lines `name: numbers`, in the order of `shapes`."""
+    lines = read_text(path, remedy).splitlines()
+    entries = dict(line.split(":", 1) for line in lines if ":" in line)
+    matrices = []
+    for name, (rows, columns) in shapes.items():
+        try:
+            matrix = np.array([float(word) for word in entries[name].split()])
+            matrix = matrix.reshape(rows, columns)
+        except (KeyError, ValueError):
+            matrix = np.full((rows, columns), np.nan)
+        if not np.isfinite(matrix).all():
+            raise UserError(f"{path} has no {name} with {rows * columns} numbers: {remedy}")
+        matrices.append(matrix)
+    return matrices
+
+
+def split_projection(
+    P: Float[np.ndarray, "3 4"], what: str, remedy: str
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "4 4"]]:
+    """K and T_camera_rect of P = K [I | t]: rectified cameras differ by a shift alone."""
+    K = P[:, :3]
+    if not is_camera_matrix(K):
+        raise UserError(f"{what} is no projection: {remedy}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        T_camera_rect = pose(np.eye(3), np.linalg.solve(K, P[:, 3]))
+    check_rigid(T_camera_rect, what, remedy)
+    return K, T_camera_rect
 
 
 @dataclass(frozen=True)
@@ -121,12 +148,7 @@ def _choose(src: Path, runs: Sequence[str] | None) -> tuple[list[str], list[str]
         left_out = sorted(set(there) - set(whole))
         notes = [f"{src}: left out {', '.join(left_out)}: no files or no poses"] if left_out else []
         return whole or there, notes  # where none is whole, to read the first says what it lacks
-    chosen = list(dict.fromkeys(runs))
-    if missing := [name for name in chosen if name not in there]:
-        raise UserError(f"{folder / missing[0]} is missing: choose from {', '.join(there)}")
-    if not chosen:
-        raise UserError(f"no sequence of {folder} is chosen: choose from {', '.join(there)}")
-    return chosen, []
+    return choose_runs(folder, there, runs), []
 
 
 def _read_drive(src: Path, run: str, every_m: float, origin_y_m: float) -> _Drive:
@@ -178,15 +200,10 @@ def _read_drive(src: Path, run: str, every_m: float, origin_y_m: float) -> _Driv
 
 def _read_calibration(path: Path) -> dict[str, Float[np.ndarray, "rows columns"]]:
     """K of image_2 and the poses of the sensors in the body frame."""
-    text = read_text(path, _FETCH)
-    entries = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
-    P2, Tr = (_matrix(path, entries, name) for name in ("P2", "Tr"))
-    K = P2[:, :3]
+    P2, Tr = read_matrices(path, {"P2": (3, 4), "Tr": (3, 4)}, _FETCH)
     T_cam0_velo = np.vstack([Tr, (0.0, 0.0, 0.0, 1.0)])
-    check_rigid(T_cam0_velo, f"{path}: Tr", "fetch the file again")
-    if not is_projection(K):
-        raise UserError(f"{path}: P2 is no projection: fetch the file again")
-    T_cam2_cam0 = pose(np.eye(3), np.linalg.solve(K, P2[:, 3]))  # P2 = K [I | t]: rectified
+    check_rigid(T_cam0_velo, f"{path}: Tr", _FETCH)
+    K, T_cam2_cam0 = split_projection(P2, f"{path}: P2", _FETCH)
     T_body_cam0 = T_BODY_LIDAR @ invert(T_cam0_velo)
     return {
         "K": K,
@@ -194,18 +211,6 @@ def _read_calibration(path: Path) -> dict[str, Float[np.ndarray, "rows columns"]
         "T_body_lidar": T_BODY_LIDAR,
         "T_body_cam0": T_body_cam0,  # the poses of the benchmark are those of camera 0
     }
-
-
-def _matrix(path: Path, entries: dict[str, str], name: str) -> Float[np.ndarray, "3 4"]:
-    try:
-        matrix = np.array([float(word) for word in entries[name].split()]).reshape(3, 4)
-    except (KeyError, ValueError):
-        matrix = np.full((3, 4), np.nan)
-    if not np.isfinite(matrix).all():
-        raise UserError(
-            f"{path} has no {name} with 12 numbers: fetch the odometry calibration again"
-        )
-    return matrix
 
 
 def _poses(src: Path, run: str) -> Path:

@@ -37,12 +37,18 @@ from adafusion.datasets.native import CONVENTIONS, DatasetInfo
 from adafusion.datasets.recording import Recording, Shot
 from adafusion.datasets.sensor_files import IMAGE_SUFFIXES
 from adafusion.geometry import invert, pose, rotation_from_rpy
-from adafusion.readers.kitti_odometry import T_BODY_LIDAR, VELODYNE_HEIGHT_M, read_velodyne
+from adafusion.readers.kitti_odometry import (
+    T_BODY_LIDAR,
+    VELODYNE_HEIGHT_M,
+    read_matrices,
+    read_velodyne,
+    split_projection,
+)
 from adafusion.readers.runs import choose_runs, files_by_stamp, matches
-from adafusion.readers.sensors import check_rigid, encoded_image, is_projection, to_body
+from adafusion.readers.sensors import check_rigid, encoded_image, refuse, to_body
 from adafusion.readers.text import read_numbers, read_text
 from adafusion.readers.track import keyframes
-from adafusion.readers.utm import to_utm
+from adafusion.readers.utm import grid_from_north, to_utm
 from adafusion.types import Frame, UserError
 
 ZONE = "32N"
@@ -70,7 +76,8 @@ def read(
 
     `runs` are names such as "2011_09_26_drive_0009". A frame needs a time and a packet of the
     GPS/INS unit, and an image or a cloud. The time is that of its cloud, if it has one, and the
-    pose its packet's, carried on by the packet's velocity for the milliseconds between them.
+    pose its packet's, carried on by the packet's velocity for the milliseconds between them. A
+    frame whose packet is damaged is there and refuses to be decoded.
     """
     src = Path(src)
     if camera not in CAMERAS:
@@ -116,6 +123,7 @@ class _Drive:
     cloud_us: list[int | None]
     image_us: list[int | None]
     T_world_body: dict[int, Float[np.ndarray, "4 4"]]
+    faults: dict[int, str]  # what is amiss with the packets of frames that have no pose
     images: dict[int, Path]
     clouds: dict[int, Path]
 
@@ -133,30 +141,38 @@ def _read_drive(folder: Path, run: str, camera: str, every_m: float, notes: list
     cloud_us = _read_times(folder / "velodyne_points/timestamps.txt") if clouds else []
 
     poses: dict[int, Float[np.ndarray, "4 4"]] = {}
+    faults: dict[int, str] = {}
     for index in seen:
         at_us = _at(cloud_us, index) if index in clouds else _at(image_us, index)
         from_us = _at(packet_us, index)
         if at_us is None or from_us is None or index not in packets:
             continue
         carry_s = (at_us - from_us) * 1e-6
-        if abs(carry_s) <= _LONGEST_CARRY_S:
+        if abs(carry_s) > _LONGEST_CARRY_S:
+            continue
+        try:
             poses[index] = _read_pose(packets[index], carry_s) @ calibration["T_imu_body"]
+        except UserError as error:
+            faults[index] = str(error)
     indices = sorted(poses)
-    if not indices:
-        raise UserError(f"{folder}: no frame has a time and a packet of oxts/data: {_FETCH}")
-    if len(indices) < len(seen):
+    if lost := len(seen) - len(poses) - len(faults):
         notes.append(
-            f"{len(seen) - len(indices)} of {len(seen)} frames of {run} have no time, or no packet "
-            f"of oxts within {_LONGEST_CARRY_S * 1e3:.0f} ms: left out"
+            f"{lost} of {len(seen)} frames of {run} have no time, or no packet of oxts within "
+            f"{_LONGEST_CARRY_S * 1e3:.0f} ms: left out"
         )
+    if not indices:
+        if faults:
+            raise UserError(next(iter(faults.values())))
+        raise UserError(f"{folder}: no frame has a time and a packet of oxts/data: {_FETCH}")
     kept = keyframes(np.array([poses[index][:3, 3] for index in indices]), every_m)
     return _Drive(
         run=run,
         calibration={name: T.tolist() for name, T in calibration.items() if name != "T_imu_body"},
-        indices=[indices[row] for row in kept],
+        indices=sorted([*(indices[row] for row in kept), *faults]),
         cloud_us=cloud_us,
         image_us=image_us,
         T_world_body=poses,
+        faults=faults,
         images=images,
         clouds=clouds,
     )
@@ -169,6 +185,10 @@ def _shots(drive: _Drive) -> Iterator[Shot]:
         at_us = _at(drive.cloud_us, index) if cloud is not None else image_us
         if at_us is None:
             raise ValueError(f"frame {index} of {drive.run} was chosen without a time")
+        if index in drive.faults:
+            frame = Frame(run=drive.run, timestamp_us=at_us, position_m=(0.0, 0.0, 0.0))
+            yield Shot(frame=frame, image=None, cloud=partial(refuse, drive.faults[index]))
+            continue
         T_world_body = drive.T_world_body[index]
         yield Shot(
             frame=Frame(
@@ -217,12 +237,11 @@ def _read_pose(path: Path, carry_s: float) -> Float[np.ndarray, "4 4"]:
     up, turn = rows[0, 10], rows[0, 17:20]
     if np.abs(rows[0, 2:]).max() > 1e5:
         raise UserError(f"{path} is no packet of a vehicle on the road: {_FETCH}")
-    try:  # the place, and one a little north of it
-        here, beyond = to_utm(latitude + np.array([0.0, 1e-4]), np.full(2, longitude), ZONE)
+    at = np.array([latitude]), np.array([longitude])
+    try:
+        [here], [grid] = to_utm(*at, ZONE), grid_from_north(*at, ZONE)
     except ValueError as error:
         raise UserError(f"{path}: {error}: {_FETCH}") from None
-    to_north = beyond - here
-    grid = rotation_from_rpy(0.0, 0.0, float(np.arctan2(-to_north[0], to_north[1])))
     start = pose(grid @ rotation_from_rpy(roll, pitch, yaw), (*here, altitude))
     start[:3, 3] += carry_s * grid @ (east, north, up)
     start[:3, :3] = start[:3, :3] @ Rotation.from_rotvec(carry_s * turn).as_matrix()
@@ -233,16 +252,11 @@ def _read_calibration(date: Path, camera: str) -> dict[str, Float[np.ndarray, "r
     """K of the camera, the sensors in the body frame, and the body in that of the OXTS unit."""
     T_velo_imu = _read_motion(date / "calib_imu_to_velo.txt")
     T_cam0_velo = _read_motion(date / "calib_velo_to_cam.txt")
-    path = date / "calib_cam_to_cam.txt"
-    entries = _read_entries(path)
-    R_rect_cam0 = _matrix(path, entries, "R_rect_00", (3, 3))
+    path, number = date / "calib_cam_to_cam.txt", camera[-2:]
+    shapes = {"R_rect_00": (3, 3), f"P_rect_{number}": (3, 4)}
+    R_rect_cam0, P = read_matrices(path, shapes, _FETCH)
     check_rigid(pose(R_rect_cam0, (0.0, 0.0, 0.0)), f"{path}: R_rect_00", _FETCH)
-    P = _matrix(path, entries, f"P_rect_{camera[-2:]}", (3, 4))
-    K = P[:, :3]
-    if not is_projection(K):
-        raise UserError(f"{path}: P_rect_{camera[-2:]} is no projection: {_FETCH}")
-    # P = K [I | t]: the rectified cameras differ from camera 0 by a shift alone
-    T_camera_rect = pose(np.eye(3), np.linalg.solve(K, P[:, 3]))
+    K, T_camera_rect = split_projection(P, f"{path}: P_rect_{number}", _FETCH)
     T_camera_velo = T_camera_rect @ pose(R_rect_cam0, (0.0, 0.0, 0.0)) @ T_cam0_velo
     return {
         "K": K,
@@ -253,24 +267,7 @@ def _read_calibration(date: Path, camera: str) -> dict[str, Float[np.ndarray, "r
 
 
 def _read_motion(path: Path) -> Float[np.ndarray, "4 4"]:
-    entries = _read_entries(path)
-    T = pose(_matrix(path, entries, "R", (3, 3)), _matrix(path, entries, "T", (3, 1))[:, 0])
+    R, t = read_matrices(path, {"R": (3, 3), "T": (3, 1)}, _FETCH)
+    T = pose(R, t[:, 0])
     check_rigid(T, str(path), _FETCH)
     return T
-
-
-def _read_entries(path: Path) -> dict[str, str]:
-    lines = read_text(path, _FETCH).splitlines()
-    return dict(line.split(":", 1) for line in lines if ":" in line)
-
-
-def _matrix(
-    path: Path, entries: dict[str, str], name: str, shape: tuple[int, int]
-) -> Float[np.ndarray, "rows columns"]:
-    try:
-        matrix = np.array([float(word) for word in entries[name].split()]).reshape(shape)
-    except (KeyError, ValueError):
-        matrix = np.full(shape, np.nan)
-    if not np.isfinite(matrix).all():
-        raise UserError(f"{path} has no {name} with {shape[0] * shape[1]} numbers: {_FETCH}")
-    return matrix

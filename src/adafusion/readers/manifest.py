@@ -24,6 +24,7 @@ def is_synthetic(src: Path) -> bool:
 def mark_synthetic(info: DatasetInfo, src: Path, *, same_world: bool) -> DatasetInfo:
     """`info` as it is for recorded data; where a manifest at `src` says so, that of a world.
 
+    The source says of which world, and goes on as that of `info`, with the reader's settings.
     `same_world`: whether positions are those of the world rendered as a dataset, so that the two
     share a map.
     """
@@ -37,7 +38,7 @@ def mark_synthetic(info: DatasetInfo, src: Path, *, same_world: bool) -> Dataset
         info,
         name=f"synthetic world in {info.name} layout",
         version=version,
-        source=f"{generator}, seed {seed}, profile {profile}; {info.source.rpartition('; ')[2]}",
+        source=f"{generator}, seed {seed}, profile {profile}; in the layout of {info.source}",
         licence=made.get("licence", "unknown"),
         synthetic=True,
         world=f"synthetic world {seed} profile {profile} version {version}"

@@ -46,7 +46,7 @@ from adafusion.datasets.recording import Recording, Shot
 from adafusion.geometry import invert, pose
 from adafusion.readers.ground import measure_height
 from adafusion.readers.runs import choose_runs, files_by_stamp, matches
-from adafusion.readers.sensors import check_rigid, read_points, to_body, without_origin, world_of
+from adafusion.readers.sensors import check_rigid, read_xyz, to_body, without_origin, world_of
 from adafusion.readers.text import read_text
 from adafusion.readers.track import Track, keyframes
 from adafusion.types import Frame, UserError
@@ -278,12 +278,12 @@ def _shots(
 
 
 def _read_scan(path: Path, record_bytes: int) -> Float32[np.ndarray, "n 3"]:
-    return without_origin(read_points(path, record_bytes))
+    return without_origin(read_xyz(path, record_bytes))
 
 
 def _read_aeva(path: Path, record_bytes: int) -> Float32[np.ndarray, "n 3"]:
     early = int(path.stem) <= _AEVA_EARLY_NS
-    return without_origin(read_points(path, _AEVA_EARLY_BYTES if early else record_bytes))
+    return without_origin(read_xyz(path, _AEVA_EARLY_BYTES if early else record_bytes))
 
 
 def _read_stamped(

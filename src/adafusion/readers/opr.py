@@ -38,21 +38,19 @@ from scipy.spatial.transform import Rotation
 
 from adafusion.datasets.native import CONVENTIONS, DatasetInfo
 from adafusion.datasets.recording import Recording, Shot
-from adafusion.datasets.sensor_files import check_points, damaged, decode_image, read_bytes
+from adafusion.datasets.sensor_files import check_points, damaged, read_bytes
 from adafusion.datasets.writer import check_run_name
 from adafusion.geometry import pose, rotation_from_rpy
 from adafusion.readers.manifest import mark_synthetic
-from adafusion.readers.pointnetvlad import UNITS, read_submap
-from adafusion.readers.runs import choose_runs, number, stamps, whole
+from adafusion.readers.pointnetvlad import CLOUD_UNIT, UNITS, read_submap
+from adafusion.readers.runs import choose_runs, files_by_stamp, number, whole
+from adafusion.readers.sensors import T_ENU_NED, T_FLU_FRD, encoded_image
 from adafusion.readers.text import path_inside, read_records
 from adafusion.readers.track import keyframes
 from adafusion.types import Frame, UserError
 
 TABLES = ("train.csv", "val.csv", "test.csv")
 REMEDY = "fetch the set again"
-
-T_ENU_NED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
-T_FRD_FLU = np.diag([1.0, -1.0, -1.0, 1.0])  # axes forward right down, from forward left up
 
 
 class _Set(NamedTuple):
@@ -63,6 +61,7 @@ class _Set(NamedTuple):
     lidars: dict[str, tuple[str, tuple[str, ...]]]  # folder of clouds, and the tables of it
     world: str
     licence: str
+    sensors: dict[str, str]
     conventions: dict[str, str]
 
 
@@ -73,6 +72,7 @@ SETS = {
         lidars={"velodyne": ("velodyne_data", TABLES)},
         world="NCLT local ENU",
         licence="ODbL 1.0",
+        sensors={},
         conventions={"image": "RGB, undistorted, centre crop 768 x 960, resized to 256 x 320"},
     ),
     "oxford": _Set(
@@ -84,6 +84,7 @@ SETS = {
         },
         world="UTM zone 30N",
         licence="CC BY-NC-SA 4.0",
+        sensors={"cloud_unit": CLOUD_UNIT},
         conventions=UNITS,
     ),
 }
@@ -257,7 +258,7 @@ def _track_rows(path: Path) -> dict[int, _Row]:
             R = Rotation.from_quat(values[3:]).as_matrix()
         else:
             raise UserError(f"{path}: line {line} has no quaternion of length 1: {REMEDY}")
-        T_world_body = T_ENU_NED @ pose(R, np.array(values[:3])) @ T_FRD_FLU
+        T_world_body = T_ENU_NED @ pose(R, np.array(values[:3])) @ T_FLU_FRD
         position_m = tuple(T_world_body[:3, 3].tolist())
         run = path.parent.name
         rows.setdefault(time_us, _Row(run, time_us, image_us, position_m, T_world_body))
@@ -283,27 +284,16 @@ class _Files(NamedTuple):
 
 def _find(clouds: Path, images: Path | None, with_images: bool, rows: list[_Row]) -> list[_Files]:
     """Frames of a run by time, those whose files are there."""
-    scans = stamps(clouds, ".bin")
-    pictures = stamps(images, ".png") if images else set()
+    scans = files_by_stamp(clouds, ".bin")
+    pictures = files_by_stamp(images, ".png") if images else {}
     return [
-        _Files(
-            row,
-            clouds / f"{row.time_us}.bin",
-            images / f"{row.image_us}.png" if images else None,
-        )
+        _Files(row, scans[row.time_us], pictures.get(row.image_us))
         for row in sorted(rows, key=lambda row: row.time_us)
         if row.time_us in scans and (row.image_us in pictures or not with_images)
     ]
 
 
 # ---------------------------------------------------------------------------------------- results
-
-
-def read_kept(path: str | Path) -> bytes:
-    """Bytes of an image that can be decoded."""
-    data = read_bytes(Path(path), "image")
-    decode_image(data, path)
-    return data
 
 
 def _shots(
@@ -317,7 +307,7 @@ def _shots(
             T_world_body=row.T_world_body,
             image_time_us=row.image_us if image and row.image_us != row.time_us else None,
         )
-        read_image = None if image is None else partial(read_kept, image)
+        read_image = None if image is None else partial(encoded_image, image)
         yield Shot(frame=frame, image=read_image, cloud=partial(read_points, cloud))
 
 
@@ -330,6 +320,7 @@ def _describe(src: Path, kind: str, settings: str) -> DatasetInfo:
         licence=which.licence,
         synthetic=False,
         world=which.world,
+        sensors=which.sensors,
         conventions={**CONVENTIONS, **which.conventions},
     )
     return mark_synthetic(info, src, same_world=False)

@@ -26,6 +26,8 @@ LARGEST_BYTES = 128 << 20
 LARGEST_STEPS = 20_000_000  # of a program; a step makes one object, or copies what it is given
 LARGEST_COPIES = 16  # sizes of the file: what all arrays may hold together
 
+_LONGEST_MESSAGE = 200  # letters of it that a file decides
+
 
 def load_pickle(path: str | Path) -> Any:
     """Build what a pickle holds: None, numbers, text, bytes, lists, tuples, dicts and arrays.
@@ -43,9 +45,11 @@ def load_pickle(path: str | Path) -> Any:
     try:
         return _Machine().run(data)
     except _Refused as refusal:
-        raise UserError(f"{path} {refusal}: remove it, it is not what it should be") from None
+        told = str(refusal)[:_LONGEST_MESSAGE]
+        raise UserError(f"{path} {told}: remove it, it is not what it should be") from None
     except Exception as error:  # a damaged program fails as anything
-        raise UserError(f"{path} is damaged ({error}): fetch it again") from error
+        told = str(error)[:_LONGEST_MESSAGE]
+        raise UserError(f"{path} is damaged ({told}): fetch it again") from error
 
 
 class _Refused(Exception):
@@ -192,7 +196,10 @@ def _pairs(items: list[Any]) -> Iterator[tuple[Any, Any]]:
 
 
 def _known(module: object, name: object) -> _Known:
-    if not isinstance(name, str) or module not in _MODULES.get(name, ()):
+    # what is not text may be nested so deeply that to print it fills the memory
+    if not isinstance(module, str) or not isinstance(name, str):
+        raise ValueError("a name that is no text")
+    if module not in _MODULES.get(name, ()):
         raise _Refused(f"wants {module}.{name}, which is not allowed")
     return _Known(name)
 
@@ -204,6 +211,8 @@ def _call(name: str, arguments: tuple[Any, ...]) -> Any:
         return _Unbuilt("array")
     if name == "dtype":
         code = arguments[0]
+        if not isinstance(code, str):
+            raise ValueError("a type that is no text")
         if not re.fullmatch("b1|[iu][1248]|f[248]|O[48]?", code):
             raise _Refused(f"wants an array of {code!r}, which is not allowed")
         return _Unbuilt("dtype", code)

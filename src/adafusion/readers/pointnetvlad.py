@@ -39,12 +39,12 @@ from adafusion.datasets.native import CONVENTIONS, DatasetInfo
 from adafusion.datasets.recording import Recording, Shot
 from adafusion.datasets.sensor_files import check_points, damaged, decode_image, read_bytes
 from adafusion.readers.benchmark_lists import (
-    read_evaluation_sets,
+    read_file_names,
     read_image_index,
-    read_training_queries,
 )
 from adafusion.readers.manifest import is_synthetic, mark_synthetic
-from adafusion.readers.runs import choose_runs, number, stamps, whole
+from adafusion.readers.robotcar.files import CAMERAS
+from adafusion.readers.runs import choose_runs, files_by_stamp, number, whole
 from adafusion.readers.text import path_inside, read_records
 from adafusion.readers.track import nearest
 from adafusion.types import Frame, UserError
@@ -74,13 +74,12 @@ LAYOUTS = {
     "25m_10": _Layout("inhouse_datasets", "pointcloud_25m_10", "pointcloud_centroids_10.csv"),
     "25m_25": _Layout("inhouse_datasets", "pointcloud_25m_25", "pointcloud_centroids_25.csv"),
 }
-BAYER = {"stereo/": cv2.COLOR_BayerGBRG2RGB, "mono_": cv2.COLOR_BayerRGGB2RGB}  # by folder
 
 UNITS = {  # conventions of submaps, where they depart
     "body": "x forward, y left, z up; the origin is the mean of the points",
-    "cloud_unit": "normalised: 1 is not a metre, and differs from submap to submap",
     "image": "RGB, not undistorted",
 }
+CLOUD_UNIT = "normalised: 1 is not a metre, and differs from submap to submap"
 
 
 def recognises(src: Path) -> bool:
@@ -114,14 +113,15 @@ def read(
     submaps = [s for run in chosen for s in _read_table(root / run, layout, notes)]
     if not submaps:
         raise UserError(f"{root}/*/{layout.folder} holds no submap that a table names: fetch them")
-    bayer = bayer_of(camera)
+    if camera not in CAMERAS:
+        raise UserError(f"unknown camera {camera!r}: choose from {', '.join(CAMERAS)}")
     settings = f"{lidar}, no images"
     if images is not None:
         pictures = _find_pictures(src, Path(images), camera, chosen)
         submaps = _join(submaps, pictures, slop_ms, notes)
         if not submaps:
             raise UserError(f"{images}: no image lies within {slop_ms:g} ms of any submap")
-        settings = f"{lidar}, {camera} within {slop_ms:g} ms"
+        settings = f"{lidar}, {camera} within {slop_ms:g} ms, images {images}"
     notes.extend(_missing(root.parent))
     return Recording(
         info=mark_synthetic(
@@ -129,7 +129,7 @@ def read(
             src if is_synthetic(src) else root.parent,
             same_world=True,
         ),
-        shots=_shots(submaps, bayer),
+        shots=_shots(submaps, CAMERAS[camera].demosaic),
         total=len(submaps),
         notes=notes,
     )
@@ -187,7 +187,7 @@ def _find(src: Path, lidar: str | None) -> tuple[Path, str, _Layout]:
 def _read_table(folder: Path, layout: _Layout, notes: list[str]) -> list[_Submap]:
     """Submaps of a run that have a file, by time."""
     table, clouds = folder / layout.table, folder / layout.folder
-    files = stamps(clouds, ".bin")
+    files = files_by_stamp(clouds, ".bin")
     submaps: dict[int, _Submap] = {}
     rows = 0
     for line, row in read_records(
@@ -197,8 +197,7 @@ def _read_table(folder: Path, layout: _Layout, notes: list[str]) -> list[_Submap
         time_us = whole(row["timestamp"], table, line)
         northing_m, easting_m = (number(row[c], table, line) for c in ("northing", "easting"))
         if time_us in files and time_us not in submaps:
-            cloud = clouds / f"{time_us}.bin"
-            submaps[time_us] = _Submap(folder.name, time_us, easting_m, northing_m, cloud)
+            submaps[time_us] = _Submap(folder.name, time_us, easting_m, northing_m, files[time_us])
     if lost := rows - len(submaps):
         notes.append(f"{lost} of {rows} rows of {table} have no file of their own: left out")
     return [submaps[time_us] for time_us in sorted(submaps)]
@@ -210,10 +209,7 @@ def _missing(root: Path) -> Iterator[str]:
         root.glob("*_evaluation_*.pickle")
     ):
         try:
-            if "_evaluation_" in path.name:
-                files = {frame.file for run in read_evaluation_sets(path) for frame in run}
-            else:
-                files = {query.file for query in read_training_queries(path)}
+            files = read_file_names(path)
             lost = sum(not path_inside(root, file, path).is_file() for file in files)
         except UserError as error:  # nothing else needs the list
             yield str(error)
@@ -223,14 +219,6 @@ def _missing(root: Path) -> Iterator[str]:
 
 
 # ----------------------------------------------------------------------------------------- images
-
-
-def bayer_of(camera: str) -> int:
-    """OpenCV's name of the pattern that a RobotCar camera records."""
-    for prefix, bayer in BAYER.items():
-        if camera.startswith(prefix):
-            return bayer
-    raise UserError(f"unknown camera {camera!r}: give RobotCar's folder of it, as stereo/centre")
 
 
 def read_picture(path: str | Path, bayer: int) -> UInt8[np.ndarray, "h w 3"] | bytes:
@@ -247,26 +235,26 @@ def read_picture(path: str | Path, bayer: int) -> UInt8[np.ndarray, "h w 3"] | b
 class _Pictures(NamedTuple):
     """Images of one camera by run, and what MinkLoc++ says of which is nearest."""
 
-    folders: dict[str, Path]
+    files: dict[str, dict[int, Path]]  # by time
     times_us: dict[str, Int64[np.ndarray, " n"]]  # rising
     listed: dict[int, Int64[np.ndarray, " k"]]  # time of a submap -> times of images
 
 
 def _find_pictures(src: Path, images: Path, camera: str, runs: Sequence[str]) -> _Pictures:
-    folders, times = {}, {}
+    files = {}
     for run in runs:
-        for folder in (path_inside(images / run, camera, "--camera"), images / run):
-            if found := stamps(folder, ".png"):
-                folders[run] = folder
-                times[run] = np.array(sorted(found), dtype=np.int64)
+        for folder in (images / run / camera, images / run):
+            if found := files_by_stamp(folder, ".png"):
+                files[run] = found
                 break
-    if not folders:
+    if not files:
         raise UserError(
             f"{images} has no <run>/{camera}/<time>.png and no <run>/<time>.png of {runs[0]}"
         )
     lists = [folder / IMAGE_INDEX for folder in (images, src)]
     listed = next((read_image_index(path) for path in lists if path.is_file()), {})
-    return _Pictures(folders, times, listed)
+    times = {run: np.array(list(found), dtype=np.int64) for run, found in files.items()}
+    return _Pictures(files, times, listed)
 
 
 def _join(
@@ -280,7 +268,7 @@ def _join(
         if time_us is None or not abs(time_us - submap.time_us) <= slop_ms * 1000:
             lost[submap.run] += 1
             continue
-        image = pictures.folders[submap.run] / f"{time_us}.png"
+        image = pictures.files[submap.run][time_us]
         joined.append(submap._replace(image=image, image_time_us=time_us))
     notes.extend(
         f"{run}: {count} of {total[run]} submaps have no image within {slop_ms:g} ms: left out"
@@ -323,6 +311,9 @@ def _describe(layout: _Layout, settings: str) -> DatasetInfo:
         licence="CC BY-NC-SA 4.0 (RobotCar)" if oxford else "as the benchmark's authors grant it",
         synthetic=False,
         world="UTM zone 30N" if oxford else "PointNetVLAD in-house",
-        sensors={"lidar": f"{POINTS} points of some {layout.length_m} m of travel, no road"},
+        sensors={
+            "lidar": f"{POINTS} points of some {layout.length_m} m of travel, no road",
+            "cloud_unit": CLOUD_UNIT,
+        },
         conventions={**CONVENTIONS, **UNITS},
     )

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from adafusion.geometry import is_rigid
 from adafusion.readers.text import read_records, read_text
-from adafusion.readers.utm import to_utm, zone_of
+from adafusion.readers.utm import grid_from_north, to_utm, zone_of
 from adafusion.types import UserError
 
 US_PER = {
@@ -80,7 +80,8 @@ def read_poses(path: str | Path, zone: str | None = None) -> PoseTable:
     A time without a unit counts seconds, milliseconds, microseconds or nanoseconds since 1970 where
     it is large enough to (1990 to 2103, the four do not overlap). Else it is in seconds if it has a
     decimal point or the table is TUM's; whole numbers in a .csv are refused. Latitudes become
-    UTM, x east, y north of the grid, in `zone` or else in that of the first row.
+    UTM, x east, y north of the grid, in `zone` or else in that of the first row; the rotations
+    beside them, which are against true east and north, are turned to the grid.
     """
     path = Path(path)
     if path.suffix.lower() == ".csv":
@@ -191,11 +192,13 @@ def _read_csv(path: Path, zone: str | None) -> PoseTable:
     T[:, 0, 3], T[:, 1, 3] = column(x), column(y)
     if z is not None:
         T[:, 2, 3] = column(z)
+    R_grid_enu = np.eye(3)
     if x.startswith("lon"):
-        longitude_deg, latitude_deg = T[:, 0, 3], T[:, 1, 3]
+        longitude_deg, latitude_deg = T[:, 0, 3].copy(), T[:, 1, 3].copy()
         try:
             zone = zone or zone_of(latitude_deg[0], longitude_deg[0])
             T[:, :2, 3] = to_utm(latitude_deg, longitude_deg, zone)
+            R_grid_enu = grid_from_north(latitude_deg, longitude_deg, zone)
         except ValueError as error:
             raise UserError(f"{path}: {error}: mend it, or prepare runs one by one") from error
     else:
@@ -216,12 +219,15 @@ def _read_csv(path: Path, zone: str | None) -> PoseTable:
         angles = np.stack([about_z, *about_yx], axis=1)
         T[:, :3, :3] = Rotation.from_euler("ZYX", angles).as_matrix()
 
+    has_rotation = bool(quaternion or yaw or heading)
+    if has_rotation:
+        T[:, :3, :3] = R_grid_enu @ T[:, :3, :3]
+
     time_us = None
     in_units = [(f"{name}{'_' * bool(u)}{u}", u) for name in _TIMES for u in ("", *US_PER)]
     if time := next(((name, unit) for name, unit in in_units if name in names), None):
         raw = names[time[0]]
         time_us = _times([row[raw] for row in rows], time[1], "", path, lines)
-    has_rotation = bool(quaternion or yaw or heading)
     return PoseTable(time_us=time_us, T_world_body=T, has_rotation=has_rotation, zone=zone)
 
 

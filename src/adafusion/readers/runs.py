@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Int64
 
 from adafusion.types import UserError
 
@@ -23,11 +25,22 @@ def matches(src: Path, *patterns: str) -> bool:
         return False
 
 
-def choose_runs(src: Path, there: Iterable[str], runs: Sequence[str] | None) -> list[str]:
-    """The runs asked for, all if None, sorted; UserError lists those there are for any other."""
+def choose_runs(
+    src: Path,
+    there: Iterable[str],
+    runs: Sequence[str] | None,
+    preferred: Collection[str] = (),
+) -> list[str]:
+    """The runs asked for, in that order; if None, those preferred that are there, or else all.
+
+    UserError lists those there are for any other.
+    """
     names = sorted(there)
-    chosen = names if runs is None else sorted(set(runs))
-    if unknown := sorted(set(chosen) - set(names)):
+    if runs is None:
+        chosen = [name for name in names if name in preferred] or names
+    else:
+        chosen = list(dict.fromkeys(runs))
+    if unknown := [name for name in chosen if name not in names]:
         raise UserError(f"{src} has no run {unknown[0]!r}: choose from {', '.join(names)}")
     if not chosen:
         raise UserError(f"no run of {src} is chosen: choose from {', '.join(names)}")
@@ -35,7 +48,10 @@ def choose_runs(src: Path, there: Iterable[str], runs: Sequence[str] | None) -> 
 
 
 def files_by_stamp(folder: Path, *suffixes: str) -> dict[int, Path]:
-    """Files whose names are whole numbers (indices, times of any unit), by that number, rising."""
+    """Files whose names are whole numbers (indices, times of any unit), by that number, rising.
+
+    Empty where there is no folder; UserError where two names are one number.
+    """
     try:
         paths = [path for path in folder.iterdir() if path.suffix in suffixes]
     except (FileNotFoundError, NotADirectoryError):
@@ -44,14 +60,18 @@ def files_by_stamp(folder: Path, *suffixes: str) -> dict[int, Path]:
         raise UserError(
             f"{folder} cannot be read ({error.strerror}): give it read access"
         ) from error
-    stamped = ((int(path.stem), path) for path in paths if _STAMP.fullmatch(path.stem))
-    return dict(sorted((stamp, path) for stamp, path in stamped if stamp < 2**62))
+    stamped = sorted((int(path.stem), path) for path in paths if _STAMP.fullmatch(path.stem))
+    for (stamp, path), (after, other) in pairwise(stamped):
+        if stamp == after:
+            raise UserError(f"{path} and {other.name} have the same number: remove one")
+    return {stamp: path for stamp, path in stamped if stamp < 2**62}
 
 
-def stamps(folder: Path, suffix: str) -> set[int]:
-    """Times that files of a folder are named by; {} where there is no folder."""
-    names = (path.name.removesuffix(suffix) for path in folder.glob(f"*{suffix}"))
-    return {int(name) for name in names if _is_stamp(name)}
+def file_times(folder: Path, suffix: str) -> Int64[np.ndarray, " n"]:
+    """Times of files named `<time><suffix>`, rising: their names can be made from the times."""
+    files = files_by_stamp(folder, suffix)
+    times = [time for time, path in files.items() if path.name == f"{time}{suffix}"]
+    return np.array(times, dtype=np.int64)
 
 
 def whole(text: str, table: Path, line: int) -> int:

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""What several readers decode alike: records of points, kept images, poses and intrinsics."""
+"""What several readers decode alike: records of points, kept images, poses; axes they turn."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -13,6 +14,10 @@ from jaxtyping import Float, Float32
 from adafusion.datasets.sensor_files import check_points, decode_image, read_bytes
 from adafusion.geometry import is_rigid, transform
 from adafusion.types import UserError
+
+# axes north east down in a world east north up, forward right down in a body forward left up
+T_ENU_NED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
+T_FLU_FRD = np.diag([1.0, -1.0, -1.0, 1.0])  # its own inverse
 
 _FARTHEST_M = 1e8  # no vehicle is that far from any origin
 
@@ -27,18 +32,6 @@ def check_rigid(T: Float[np.ndarray, "*n 4 4"], what: str, remedy: str) -> None:
     raise UserError(f"{what}{where} is no rigid motion: {remedy}")
 
 
-def is_projection(K: Float[np.ndarray, "3 3"]) -> bool:
-    """Whether K looks like the intrinsics of a camera, so that it can be inverted."""
-    return bool(
-        np.isfinite(K).all()
-        and K[0, 0] > 0
-        and K[1, 1] > 0
-        and np.abs(K).max() < 1e6
-        and np.allclose(K[[1, 2, 2], [0, 0, 1]], 0.0)
-        and K[2, 2] == 1.0
-    )
-
-
 def encoded_image(path: Path) -> bytes:
     """Bytes of an image file, found whole, to be kept as they are."""
     data = read_bytes(path, "image")
@@ -46,7 +39,7 @@ def encoded_image(path: Path) -> bytes:
     return data
 
 
-def read_points(path: Path, record_bytes: int) -> Float32[np.ndarray, "n 3"]:
+def read_xyz(path: Path, record_bytes: int) -> Float32[np.ndarray, "n 3"]:
     """x y z of a file of equal records that begin with them as little-endian float32.
 
     UserError where it is cut short, empty or not finite.
@@ -73,6 +66,11 @@ def to_body(
 ) -> Float32[np.ndarray, "n 3"]:
     """Points of a file of a LiDAR, in the body frame."""
     return transform(T_body_lidar, read(path))
+
+
+def refuse(reason: str) -> NoReturn:
+    """What a `Shot` does whose file or pose was found damaged; the reason names it."""
+    raise UserError(reason)
 
 
 def world_of(positions_m: Float[np.ndarray, "n 3"], utm: str, local: str) -> str:

@@ -4,24 +4,34 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Float64
 
+from adafusion.datasets.sensor_files import open_regular
 from adafusion.types import UserError
+
+_LARGEST_BYTES = 2**31  # of a table; a day of poses at 200 Hz, 100 bytes each, is smaller
 
 
 def read_text(path: str | Path, remedy: str) -> str:
     """All of a UTF-8 file (a leading byte order mark is dropped); UserError with the remedy."""
     try:
-        return Path(path).read_text(encoding="utf-8-sig")
+        with open_regular(path, _LARGEST_BYTES) as file, _decoded(file) as text:
+            return text.read()
     except FileNotFoundError:
         raise UserError(f"{path} is missing: {remedy}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path} cannot be read ({error}): {remedy}") from error
+
+
+def _decoded(file: BinaryIO) -> io.TextIOWrapper:
+    return io.TextIOWrapper(file, encoding="utf-8-sig")
 
 
 def read_numbers(
@@ -64,11 +74,12 @@ def _read_plain(
     """A table without a fault or a comment, many times faster; None where it has either."""
     try:
         with (
-            Path(path).open(encoding="utf-8-sig") as file,
+            open_regular(path, _LARGEST_BYTES) as file,
+            _decoded(file) as text,
             warnings.catch_warnings(action="error", category=UserWarning),  # of a file without rows
         ):
             return np.loadtxt(
-                file, delimiter=delimiter, skiprows=skip_lines, comments=None, ndmin=2
+                text, delimiter=delimiter, skiprows=skip_lines, comments=None, ndmin=2
             )
     except (ValueError, OSError, UserWarning):
         return None

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, Float64
+from scipy.spatial.transform import Rotation
 
 _FARTHEST_DEG = 9.0  # from the middle of a zone, which is 3 degrees wide to either side
 
@@ -50,3 +51,15 @@ def to_utm(
     north = xi + sum(a * np.sin(j * xi) * np.cosh(j * eta) for j, a in waves)
     start_m = 0.0 if zone.endswith("N") else 10_000_000.0
     return np.stack([500_000.0 + radius_m * east, start_m + radius_m * north], axis=1)
+
+
+def grid_from_north(
+    latitude_deg: Float[np.ndarray, " n"], longitude_deg: Float[np.ndarray, " n"], zone: str
+) -> Float64[np.ndarray, "n 3 3"]:
+    """R_grid_enu: how east, north, up lie on the grid at some places; up to 5 degrees turned."""
+    south, north = (
+        to_utm(np.clip(latitude_deg + step, -84, 84), longitude_deg, zone) for step in (-1e-4, 1e-4)
+    )
+    way = north - south
+    turn_rad = np.arctan2(-way[:, 0], way[:, 1])
+    return Rotation.from_rotvec(np.outer(turn_rad, (0.0, 0.0, 1.0))).as_matrix()

@@ -164,6 +164,7 @@ def region_map(
         names = region_of(xy, regions)
         low, high = xy.min(axis=0) - origin, xy.max(axis=0) - origin
         margin = 0.04 * float((high - low).max()) + 10.0
+        low, high = _with_boxes(low, high, regions, origin)
         low, high = low - margin, high + margin
         low[1] -= margin  # room for the scale bar
         wide, tall = high - low
@@ -201,7 +202,8 @@ def region_map(
         axes.set_ylim(low[1], high[1])
         axes.set_aspect("equal", adjustable="box")
         _scale_bar(axes, low, high)
-        axes.set_title(title)
+        # over the whole picture: the axes of a straight route are narrower than any title
+        figure.suptitle(title, x=0.01, ha="left", fontsize=9.5, fontweight="bold", wrap=True)
         _label_plane(axes, origin)
         figure.legend(loc="outside lower center", ncols=4, markerscale=5 / size, handletextpad=0.3)
         return figure
@@ -360,6 +362,21 @@ def _near_origin(xy_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " 2"]:
 def _label_plane(axes: Axes, origin: Float[np.ndarray, " 2"]) -> None:
     for axis, name, value in zip((axes.xaxis, axes.yaxis), "xy", origin, strict=True):
         axis.set_label_text(f"{name} − {value:.0f} (m)" if value else f"{name} (m)")
+
+
+def _with_boxes(
+    low: Float[np.ndarray, " 2"],
+    high: Float[np.ndarray, " 2"],
+    regions: Regions,
+    origin: Float[np.ndarray, " 2"],
+) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
+    """Bounds that take in the corners of boxes, those no farther off than the ways are long."""
+    boxes = [box for boxes in regions.values() for box in boxes]
+    corners = np.reshape(boxes, (-1, 2)) - origin
+    reach = (high - low).max()
+    near = corners[((corners >= low - reach) & (corners <= high + reach)).all(axis=1)]
+    shown = np.concatenate([near, low[None], high[None]])
+    return shown.min(axis=0), shown.max(axis=0)
 
 
 def _scale_bar(axes: Axes, low: Float[np.ndarray, " 2"], high: Float[np.ndarray, " 2"]) -> None:

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from adafusion.readers.bag.messages import NO_ROSBAGS, Message, refused
+from adafusion.readers.bag.limits import CappedPath, bound_unpacking
+from adafusion.readers.bag.messages import NO_ROSBAGS, Damaged, Message, refused
 from adafusion.types import UserError
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -82,7 +83,7 @@ def as_table(topics: Iterable[Topic]) -> str:
 def messages(bag: Bag, topics: Collection[str]) -> Iterator[Message]:
     """Messages of some topics in the order in which they were recorded, one at a time.
 
-    UserError where the bag is cut or damaged: what came before was whole.
+    Damaged where the bag is cut: what came before was whole.
     """
     for part in bag.parts:
         with _opened(part) as reader:
@@ -105,8 +106,10 @@ def _opened(part: Path) -> Iterator[Any]:
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(NO_ROSBAGS) from error
     _refuse_unmerged(part)
+    bound_unpacking()
     with refused(part, _remedy(part)):
-        reader = rosbag1.Reader(part) if part.suffix == ".bag" else rosbag2.Reader(part)
+        path = CappedPath(part)
+        reader = rosbag1.Reader(path) if part.suffix == ".bag" else rosbag2.Reader(path)
         with reader:
             yield reader
 
@@ -123,11 +126,11 @@ def _remedy(part: Path) -> str:
 
 
 def _refuse_unmerged(part: Path) -> None:
-    """UserError where SQLite was killed while it recorded, and keeps messages beside its file."""
+    """Damaged where SQLite was killed while it recorded, and keeps messages beside its file."""
     for file in part.glob("*.db3") if part.is_dir() else [part]:
         log = file.with_name(f"{file.name}-wal")
         if file.suffix == ".db3" and log.is_file() and log.stat().st_size:
-            raise UserError(
+            raise Damaged(
                 f"{log} holds messages that {file.name} lacks: merge them with "
                 f"`sqlite3 {file.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
             )

@@ -16,6 +16,7 @@ from adafusion.geometry import invert
 from adafusion.readers.bag.messages import Transform
 from adafusion.readers.track import Track
 
+POSE_GAP_US = 2_000_000  # between poses farther apart nobody knows where the vehicle was
 _THIN_US = 10_000  # hundred poses a second are enough between which to interpolate
 _FARTHEST_M = 1e9  # no world is so wide
 _ROW = 7  # x y z qx qy qz qw
@@ -94,7 +95,8 @@ class FrameTree:
         """Where `frame` was in `world`, one of its ancestors; None where nothing moves between.
 
         At the times of the edge that is said most often, which is the odometry's; others are
-        interpolated to them. Before one of the edges is known, and after, there is no pose.
+        interpolated to them. Where one of the edges is not known within `POSE_GAP_US`, there is no
+        pose.
         """
         chain = self.ancestors(frame)
         edges = list(pairwise(chain[: chain.index(world) + 1]))
@@ -103,9 +105,8 @@ class FrameTree:
         if not tracks:
             return None
         times = max((track.time_us for track in tracks.values()), key=len)
-        start = max(track.time_us[0] for track in tracks.values())
-        end = min(track.time_us[-1] for track in tracks.values())
-        times = times[(times >= start) & (times <= end)]
+        for edge in tracks.values():
+            times = times[edge.near(times, POSE_GAP_US)]
         if len(times) == 0:
             return None
         T = np.tile(np.eye(4), (len(times), 1, 1))

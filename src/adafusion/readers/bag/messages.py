@@ -77,9 +77,13 @@ class CameraInfo(NamedTuple):
     note: str  # what a person should know, "" for nothing
 
 
+class Damaged(UserError):
+    """A bag or a message that cannot be read, whatever the options."""
+
+
 @contextmanager
 def refused(where: object, remedy: str) -> Iterator[None]:
-    """The one place where whatever a damaged bag or message provokes becomes a UserError.
+    """The one place where whatever a damaged bag or message provokes becomes `Damaged`.
 
     The library and its decompressors answer damage with exceptions of every kind: asserts, struct,
     zstd, lz4, SQLite and YAML errors, MemoryError where a length is a lie.
@@ -90,11 +94,11 @@ def refused(where: object, remedy: str) -> Iterator[None]:
         raise
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise UserError(f"{where} is damaged or cut short ({reason[:300]}): {remedy}") from error
+        raise Damaged(f"{where} is damaged or cut short ({reason[:300]}): {remedy}") from error
 
 
 def decode(message: Message) -> Any:
-    """All fields of a message; UserError where its bytes are not what its type says."""
+    """All fields of a message; Damaged where its bytes are not what its type says."""
     store = _typestore(message.ros1)
     with refused(message, "leave the bag out, or record it again"):
         read = store.deserialize_ros1 if message.ros1 else store.deserialize_cdr
@@ -176,13 +180,18 @@ def decode_camera_info(message: Message, rectified: bool) -> CameraInfo:
         note = f"{message.topic} is of a camera that nobody calibrated: no K is kept"
         return CameraInfo(Calibration(), size, note)
     distortion = tuple(float(k) for k in _either(value, "d"))
-    if rectified or not any(distortion):
-        return CameraInfo(Calibration(K=K), size, "")
     model = value.distortion_model
-    known = model in ("plumb_bob", "rational_polynomial") and is_distortion(distortion)
-    if not known or not np.isfinite(distortion).all():
-        return CameraInfo(Calibration(K=K), size, f"distortion {model!r} is not undone")
-    return CameraInfo(Calibration(K=K, distortion=distortion), size, "")
+    fisheye = model in ("equidistant", "fisheye")  # bends even where all numbers are 0
+    if rectified or not (fisheye or any(distortion)):
+        return CameraInfo(Calibration(K=K), size, "")
+    plain = model in ("plumb_bob", "rational_polynomial") and is_distortion(distortion)
+    if not (plain or (fisheye and len(distortion) == 4)) or not np.isfinite(distortion).all():
+        note = (
+            f"distortion {model!r} of {len(distortion)} numbers in {message.topic} is not undone: "
+            "images are left bent, and no K is kept"
+        )
+        return CameraInfo(Calibration(), size, note)
+    return CameraInfo(Calibration(K=K, distortion=distortion, fisheye=fisheye), size, "")
 
 
 def _either(value: Any, name: str) -> Any:

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from adafusion.geometry import invert, pose
 from adafusion.readers.bag.files import as_table, topics_of
-from adafusion.readers.bag.messages import FIX, POSES
+from adafusion.readers.bag.messages import FIX, POSES, Damaged
 from adafusion.readers.bag.survey import Survey
 from adafusion.readers.calibration import Calibration
 from adafusion.readers.pose_files import PoseTable
@@ -71,7 +71,7 @@ def place(
         track = _track_of_tree(seen, frame)
     if track is None:
         if seen.fault:
-            raise UserError(seen.fault)
+            raise Damaged(seen.fault)
         raise UserError(
             f"{seen.bag.run}: {poses_from} gives no poses of the vehicle; its "
             f"topics:\n{as_table(topics_of(seen.bag))}\n"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of ROS 1 (.bag) and ROS 2 (.mcap, .db3, folders), read without ROS; `bag_files` has layouts.
+"""Bags of ROS 1 (.bag) and ROS 2 (.mcap, .db3, folders), read without ROS; `files` has the layouts.
 
 What is converted:
 * Time is that of the headers (of recording where a header has none), nanoseconds cut to
@@ -14,29 +14,34 @@ What is converted:
   the receiver's height.
 * Images become RGB without distortion, under the K of the camera info.
 
-Sources: the message definitions of ROS (`ros_messages`), REP 103 and 105.
+Sources: the message definitions of ROS (`messages`), REP 103 and 105.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from adafusion.datasets.native import DatasetInfo
 from adafusion.datasets.recording import Recording, Shot
 from adafusion.readers.bag.files import Bag, Topic, as_table, find_bags, topics_of
+from adafusion.readers.bag.messages import Damaged
 from adafusion.readers.bag.place import Placed, place
 from adafusion.readers.bag.stream import stream_shots
-from adafusion.readers.bag.survey import Survey, choose_topics, survey
+from adafusion.readers.bag.survey import Survey, Topics, choose_topics, survey
 from adafusion.readers.calibration import Calibration, read_calibration
 from adafusion.readers.manifest import mark_synthetic
 from adafusion.readers.pose_files import PoseTable, read_poses
 from adafusion.readers.track import keyframes
 from adafusion.readers.utm import zone_of
 from adafusion.types import UserError
+
+A = TypeVar("A")
+B = TypeVar("B")
 
 
 def recognises(src: Path) -> bool:
@@ -79,20 +84,31 @@ def read(
     single stream of messages. `poses`: a trajectory of the vehicle in place of the bag's, as
     `pose_files` reads it; a file for one bag, a folder with <run>.txt or .csv for several.
     `calibration`: a file as `calibration` reads it, in place of what the bag says.
+
+    Of several bags a damaged one loses its own frames alone: the shots raise its fault, and go on
+    with the next bag when they are asked for more. A bag that cannot be read at all is told first.
     """
     src = Path(src)
     if not 0 <= slop_ms <= 1000 or not 0 <= every_m < np.inf:
         raise UserError("--slop-ms is within 0 and 1000, --every-m is 0 or more: mend the option")
     given = Calibration() if calibration is None else read_calibration(calibration)
     bags = _bags(src, runs)
-    chosen = [
-        choose_topics(bag, image_topic, cloud_topic, pose_topic, poses is not None) for bag in bags
-    ]
+    faults: list[Damaged] = []
+
+    def choose(bag: Bag) -> tuple[Bag, Topics]:
+        given = image_topic, cloud_topic, pose_topic
+        return bag, choose_topics(bag, *given, poses_elsewhere=poses is not None)
+
+    chosen = _whole(choose, bags, faults)
     tables = {} if poses is None else _read_tables(Path(poses), bags)
     notes: list[str] = []
-    seen = [survey(bag, topics) for bag, topics in zip(bags, chosen, strict=True)]
+    seen = _whole(lambda one: survey(*one), chosen, faults)
     zone = next((table.zone for table in tables.values()), None) or _zone(seen)
-    ready = [place(one, tables.get(one.bag.run), zone, given, lidar_height_m) for one in seen]
+    ready = _whole(
+        lambda one: place(one, tables.get(one.bag.run), zone, given, lidar_height_m), seen, faults
+    )
+    if not ready:
+        raise faults[0]
     if len({run.oriented for run in ready}) > 1:
         raise UserError(
             f"{src}: some bags have GPS fixes alone and some poses, of another world: choose bags "
@@ -122,7 +138,7 @@ def read(
     )
     return Recording(
         info=mark_synthetic(info, src, same_world=False),
-        shots=_all_shots(ready, every_m, slop_ms, notes),
+        shots=_Shots(faults, [stream_shots(run, every_m, slop_ms, notes) for run in ready]),
         total=sum(_expected(run, every_m) for run in ready),
         notes=notes,
     )
@@ -179,7 +195,8 @@ def _expected(run: Placed, every_m: float) -> int:
 
 def _describe(run: Placed) -> str:
     topics, distortion = run.seen.topics, run.calibration.distortion
-    lens = f" (distortion {list(distortion)} undone)" if any(distortion) else ""
+    model = "fisheye " if run.calibration.fisheye else ""
+    lens = f" ({model}distortion {list(distortion)} undone)" if run.calibration.bends else ""
     parts = [
         f"images of {topics.image}{lens}" if topics.image else "",
         f"clouds of {topics.cloud}" if topics.cloud else "",
@@ -188,8 +205,31 @@ def _describe(run: Placed) -> str:
     return f"{run.seen.bag.run} ({', '.join(part for part in parts if part)})"
 
 
-def _all_shots(
-    runs: Sequence[Placed], every_m: float, slop_ms: float, notes: list[str]
-) -> Iterator[Shot]:
-    for run in runs:
-        yield from stream_shots(run, every_m, slop_ms, notes)
+def _whole(step: Callable[[A], B], items: Iterable[A], faults: list[Damaged]) -> list[B]:
+    """What a step makes of every item that is not damaged; of the others the faults."""
+    made = []
+    for item in items:
+        try:
+            made.append(step(item))
+        except Damaged as fault:
+            faults.append(fault)
+    return made
+
+
+class _Shots:
+    """Shots of one bag after the other; a bag that has raised a fault has come to its end."""
+
+    def __init__(self, faults: Iterable[Damaged], runs: Iterable[Iterator[Shot]]) -> None:
+        self._faults, self._runs = deque(faults), deque(runs)
+
+    def __iter__(self) -> Iterator[Shot]:
+        return self
+
+    def __next__(self) -> Shot:
+        if self._faults:
+            raise self._faults.popleft()
+        while self._runs:
+            if (shot := next(self._runs[0], None)) is not None:
+                return shot
+            self._runs.popleft()
+        raise StopIteration

@@ -104,7 +104,7 @@ _ENCODINGS = {
 
 def encoded_suffix(message: Message, calibration: Calibration) -> str:
     """ ".jpg" where `decode_picture` will hand a JPEG on as it is, else ".png"."""
-    if message.kind != COMPRESSED or any(calibration.distortion):
+    if message.kind != COMPRESSED or calibration.bends:
         return ".png"
     try:
         value = decode(message)
@@ -139,8 +139,9 @@ def decode_picture(
             f"{message} is an image of {image.shape[1]}x{image.shape[0]} pixels, its camera info "
             f"is of {size[0]}x{size[1]}: give the calibration of these images with --calibration"
         )
-    if any(calibration.distortion) and calibration.K is not None:
-        return undistort(image, calibration.K, calibration.distortion)
+    if calibration.bends and calibration.K is not None:
+        lens = calibration.K, calibration.distortion
+        return undistort(image, *lens, fisheye=calibration.fisheye, where=message)
     return image if data is None else data
 
 

@@ -8,6 +8,7 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from statistics import median_low
 from typing import NamedTuple
 
 import numpy as np
@@ -15,14 +16,17 @@ from jaxtyping import Float, Float64
 
 from adafusion.datasets.recording import Shot
 from adafusion.readers.bag.files import messages
-from adafusion.readers.bag.messages import Message, header
+from adafusion.readers.bag.frames import POSE_GAP_US
+from adafusion.readers.bag.messages import Damaged, Message, header
 from adafusion.readers.bag.place import Placed
 from adafusion.readers.bag.sensors import decode_cloud, decode_picture, encoded_suffix
+from adafusion.readers.bag.survey import NUM_LAGS
 from adafusion.readers.track import Track
-from adafusion.types import Frame, UserError
+from adafusion.types import Frame
 
-_POSE_GAP_US = 2_000_000  # between poses farther apart nobody knows where the vehicle was
 _WAIT_NS = 2_000_000_000  # how long a cloud waits for a later image, or an image for its cloud
+_MOST_WAITING = 100  # of each sensor, whatever the times of recording: a camera's in two seconds
+_WILD_US = 60_000_000  # no recorder lags so much from one message to the next
 
 
 class _Timed(NamedTuple):
@@ -33,7 +37,7 @@ class _Timed(NamedTuple):
 def stream_shots(run: Placed, every_m: float, slop_ms: float, notes: list[str]) -> Iterator[Shot]:
     """One pass over images and clouds, which holds no more of them than wait for each other.
 
-    Where the bag breaks off, all frames before come first, then UserError.
+    Where the bag breaks off, all frames before come first, then Damaged.
     """
     topics = run.seen.topics
     both = topics.cloud is not None and topics.image is not None
@@ -56,7 +60,7 @@ def stream_shots(run: Placed, every_m: float, slop_ms: float, notes: list[str]) 
             yield _shot(run, T, first, second)
     notes += _describe(run, left_out, times_us, slop_ms)
     if run.seen.fault:
-        raise UserError(run.seen.fault)
+        raise Damaged(run.seen.fault)
 
 
 def _describe(
@@ -71,7 +75,7 @@ def _describe(
         )
         yield (
             f"{name}: {left_out['outside']} of {total} {what} lie outside the poses, or where "
-            f"these have a gap of more than {_POSE_GAP_US // 10**6} s: left out ({what} from "
+            f"these have a gap of more than {POSE_GAP_US // 10**6} s: left out ({what} from "
             f"{sensor}, poses from {poses}; far apart, their drivers stamp by different clocks)"
         )
     if left_out["alone"]:
@@ -81,6 +85,13 @@ def _describe(
         )
     if left_out["unstamped"]:
         yield f"{name}: {left_out['unstamped']} messages have no stamp: recording times are used"
+    if left_out["wild"]:
+        yield (
+            f"{name}: {left_out['wild']} messages have a stamp that is off by more than "
+            f"{_WILD_US // 10**6} s, going by when those around them were recorded: left out"
+        )
+    if left_out["damaged"]:
+        yield f"{name}: {left_out['damaged']} messages are damaged: left out"
     if left_out["back"]:
         yield f"{name}: {left_out['back']} messages go back in time: left out"
     if topics.cloud is None or topics.image is None:
@@ -90,19 +101,37 @@ def _describe(
 def _stamped(run: Placed, left_out: Counter[str]) -> Iterator[_Timed]:
     """Images and clouds as they were recorded, by rising time of each, as far as the bag goes."""
     topics = [name for name in (run.seen.topics.image, run.seen.topics.cloud) if name]
+    lags_us = {name: deque(run.seen.lags_us[name], NUM_LAGS) for name in topics}
     latest: dict[str, int] = {}
     try:
         for message in messages(run.seen.bag, topics):
-            stamp_us = header(message).stamp_us
+            try:
+                stamp_us = header(message).stamp_us
+            except Damaged:
+                left_out["damaged"] += 1
+                continue
+            received_us = message.received_ns // 1000
             left_out["unstamped"] += stamp_us == 0
-            at_us = stamp_us or message.received_ns // 1000
+            at_us = stamp_us or received_us
+            if stamp_us and _is_wild(received_us - stamp_us, lags_us[message.topic]):
+                left_out["wild"] += 1
+                continue
             if at_us <= latest.get(message.topic, -1):
                 left_out["back"] += 1
                 continue
             latest[message.topic] = at_us
             yield _Timed(at_us, message)
-    except UserError as error:
+    except Damaged as error:
         run.seen.fault = str(error)
+
+
+def _is_wild(lag_us: int, recent_us: deque[int]) -> bool:
+    """Whether a stamp is no time of its clock, by how late the last messages were recorded.
+
+    The lag is entered among them: where a clock is set anew, the middle soon follows.
+    """
+    recent_us.append(lag_us)
+    return abs(lag_us - median_low(recent_us)) > _WILD_US
 
 
 def _pairs(
@@ -111,7 +140,7 @@ def _pairs(
     """Every message of the topic `lead` with the nearest in time of the other, if it is near.
 
     Sensors arrive late by different times: a message waits until the other sensor has passed it,
-    or until two seconds have gone by.
+    or until two seconds have gone by, or too many wait.
     """
     waiting: deque[_Timed] = deque()
     others: deque[_Timed] = deque()
@@ -130,13 +159,16 @@ def _pairs(
         while waiting and (
             (others and others[-1].at_us >= waiting[0].at_us)
             or now_ns - waiting[0].message.received_ns > _WAIT_NS
+            or len(waiting) > _MOST_WAITING
         ):
             first = waiting.popleft()
             latest = first.at_us
             yield first, near(first)
         oldest = (waiting[0].at_us if waiting else latest) - slop_us
         while others and (
-            others[0].at_us < oldest or now_ns - others[0].message.received_ns > _WAIT_NS
+            others[0].at_us < oldest
+            or now_ns - others[0].message.received_ns > _WAIT_NS
+            or len(others) > _MOST_WAITING
         ):
             others.popleft()
     for first in waiting:
@@ -149,7 +181,7 @@ def _pose_at(track: Track, at_us: int) -> Float64[np.ndarray, "4 4"] | None:
     around = slice(max(after - 1, 0), after + 1)
     times = track.time_us[around]
     part, at = Track(times, track.T_world_body[around]), np.array([at_us])
-    if not part.near(at, _POSE_GAP_US)[0]:
+    if not part.near(at, POSE_GAP_US)[0]:
         return None
     return part.at(at)[0]
 

@@ -12,7 +12,9 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import islice
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -27,6 +29,8 @@ from adafusion.readers.bag.messages import (
     IMAGE,
     POSES,
     TRANSFORMS,
+    Damaged,
+    Header,
     Message,
     decode_camera_info,
     decode_fix,
@@ -36,6 +40,8 @@ from adafusion.readers.bag.messages import (
 )
 from adafusion.readers.calibration import Calibration
 from adafusion.types import UserError
+
+NUM_LAGS = 9  # messages whose middle says how a sensor's clock differs from the recorder's
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +64,8 @@ class Survey:
     topics: Topics
     image_frame: str = ""
     cloud_frame: str = ""
+    # by topic of a sensor: how late its first messages were recorded, by its own clock
+    lags_us: dict[str, list[int]] = field(default_factory=dict)
     tree: FrameTree = field(default_factory=FrameTree)
     poses: PoseLog = field(default_factory=PoseLog)
     pose_frame: str = ""  # whose poses they are, "" where the topic does not say
@@ -130,19 +138,29 @@ def choose_topics(
 
 
 def survey(bag: Bag, topics: Topics) -> Survey:
-    """Read everything but images and clouds, and of these the first one's header.
+    """Read everything but images and clouds, and of these the first headers.
 
     Where the bag breaks off, what came before counts: the fault is for the second pass to raise.
+    Single messages that are damaged are left out. Damaged where no image or no cloud can be read.
     """
-    seen = Survey(bag, topics, _frame_of(bag, topics.image), _frame_of(bag, topics.cloud))
+    seen = Survey(bag, topics)
+    seen.image_frame, seen.cloud_frame = (
+        _meet(seen, topic) if topic else "" for topic in (topics.image, topics.cloud)
+    )
     small = {one.name for one in topics.transforms}
     small |= {topics.pose.name} if topics.pose else set()
     small |= {topics.camera_info} if topics.camera_info else set()
+    damaged = 0
     try:
         for message in messages(bag, small):
-            _take(seen, message)
-    except UserError as error:
+            try:
+                _take(seen, message)
+            except Damaged:
+                damaged += 1
+    except Damaged as error:
         seen.fault = str(error)
+    if damaged:
+        seen.notes.append(f"{bag.run}: {damaged} poses or transforms are damaged: left out")
     if seen.poses.refused:
         seen.notes.append(
             f"{bag.run}: {seen.poses.refused} poses are not finite or have no direction: left out"
@@ -155,10 +173,18 @@ def is_rectified(topic: str) -> bool:
     return re.search(r"(?:^|[/_])rect(?:[/_]|ified|$)", topic) is not None
 
 
-def _frame_of(bag: Bag, topic: str | None) -> str:
-    """Frame of the first message of a topic; a sensor has one."""
-    first = None if topic is None else next(messages(bag, [topic]), None)
-    return "" if first is None else header(first).frame
+def _meet(seen: Survey, topic: str) -> str:
+    """Enter the lags of a sensor's first messages; the frame of the first, as a sensor has one."""
+    first: list[tuple[Header, int]] = []
+    try:
+        for message in islice(messages(seen.bag, [topic]), NUM_LAGS):
+            with suppress(Damaged):
+                first.append((header(message), message.received_ns // 1000))
+    except Damaged:
+        if not first:
+            raise
+    seen.lags_us[topic] = [at - head.stamp_us for head, at in first if head.stamp_us]
+    return first[0][0].frame if first else ""
 
 
 def _take(seen: Survey, message: Message) -> None:

@@ -70,12 +70,12 @@ def find_poses(src: Path, folder: Path, given: str | Path | None) -> Path:
         ]
         if len(found) > 1:
             names = " and ".join(path.name for path in found)
-            raise UserError(f"{place} has {names}: choose one by the option poses")
+            raise UserError(f"{place} has {names}: choose one by --poses")
         if found:
             return found[0]
     raise UserError(
         f"{folder} has no poses.txt, poses.csv or .tum: put the poses there, or name their file by "
-        f"the option poses"
+        f"--poses"
     )
 
 
@@ -99,10 +99,10 @@ def _sensor_folders(
 
 
 def _by_name(folder: Path, suffixes: Sequence[str]) -> dict[str, Path]:
-    """Files by name without suffix; a link that leads nowhere is no file."""
+    """Files by name without suffix; what is no file, as a dead link, is refused when it is read."""
     files: dict[str, Path] = {}
     for path in _listed(folder):
-        if path.suffix.lower() not in suffixes or not _is_file(path):
+        if path.suffix.lower() not in suffixes or _is_folder(path):
             continue
         if not path.name.isprintable():
             raise UserError(f"{folder} has a file {path.name!a}: rename or remove it")

@@ -91,7 +91,7 @@ def read(
     if not folders:
         raise UserError(
             f"{src} holds no images or clouds: they lie in its folders images and clouds, or in "
-            f"those of <run>; name others by camera and lidar"
+            f"those of <run>; name others by --camera and --lidar"
         )
     known = Calibration() if calibration is None else read_calibration(calibration)
     T_body_lidar = pose(np.eye(3), (0.0, 0.0, lidar_height_m))
@@ -113,6 +113,11 @@ def read(
         timeless |= table.time_us is None
         found = _join(files, table, path, round(slop_ms * 1000), every_m, notes)
         shots += _shots(files, found, known, T_body_lidar)
+    if known.T_body_lidar is None and not lidar_height_m:
+        notes.append(
+            "clouds are taken to be in the body frame, z = 0 on the ground: give --lidar-height-m "
+            "or --calibration where they are the LiDAR's own"
+        )
     if len(set(zones.values())) > 1:
         raise UserError(f"{src}: only some runs have latitudes: prepare the others by themselves")
 
@@ -123,7 +128,7 @@ def read(
         name="folder",
         version="1",
         source=f"folder: camera {camera or 'found'}, lidar {lidar or 'found'}, "
-        f"{lidar_height_m:g} m up, poses {Path(poses).name if poses else 'found'}; image and cloud "
+        f"{lidar_height_m:g} m up, poses {poses or 'found'}; image and cloud "
         f"within {slop_ms:g} ms, every {every_m:g} m, distortion {list(known.distortion)}",
         licence="as its source",
         synthetic=False,
@@ -257,7 +262,7 @@ def _image(path: Path, known: Calibration) -> UInt8[np.ndarray, "h w 3"] | bytes
     image = read_image(path)
     if known.K is None or not known.distortion:
         return image
-    return undistort(image, known.K, known.distortion)
+    return undistort(image, known.K, known.distortion, where=path)
 
 
 def _in_body(path: Path, T_body_lidar: Float[np.ndarray, "4 4"]) -> Float32[np.ndarray, "n 3"]:

@@ -26,7 +26,7 @@ from jaxtyping import Float32, Float64, UInt8
 
 from adafusion.datasets.sensor_files import decode_image, read_bytes
 from adafusion.geometry import pose, rotation_from_rpy
-from adafusion.readers.nclt.velodyne import T_BODY_NCLT
+from adafusion.readers.sensors import T_FLU_FRD
 from adafusion.readers.text import read_numbers
 from adafusion.types import UserError
 
@@ -68,7 +68,7 @@ def read_lens(folder: Path, camera: str) -> Lens:
     return Lens(
         size=(width, height),
         K=np.array([[fy, 0.0, height - 1 - cy], [0.0, fx, cx], [0.0, 0.0, 1.0]]),
-        T_body_camera=T_BODY_NCLT @ T_NCLT_LADYBUG @ T_ladybug_side @ _T_SIDE_UPRIGHT,
+        T_body_camera=T_FLU_FRD @ T_NCLT_LADYBUG @ T_ladybug_side @ _T_SIDE_UPRIGHT,
         u2d=u2d,
     )
 

@@ -4,14 +4,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Int64
-
+from adafusion.readers.runs import choose_runs
 from adafusion.types import UserError
 
 PAPER_RUNS = (
@@ -46,7 +43,7 @@ class RunFiles:
     packets: Path | None  # velodyne_hits.bin
 
 
-def choose_runs(
+def find_runs(
     src: Path, runs: Sequence[str] | None, camera: str, lidar: str, notes: list[str]
 ) -> list[RunFiles]:
     """Files of the runs that are named, or else of the paper's that are there, or else of all.
@@ -62,23 +59,17 @@ def choose_runs(
     files = {run: _find_files(src, run, truth[run], camera, lidar) for run in sorted(truth)}
     usable = [run for run, one in files.items() if one.images or one.scan_files or one.packets]
     if runs is None:
-        chosen = [run for run in usable if run in PAPER_RUNS] or usable or list(files)
+        chosen = choose_runs(src, usable or files, None, preferred=PAPER_RUNS)
         if others := [run for run in usable if run not in chosen]:
             notes.append(f"{', '.join(others)}: not of the paper's ten runs, left out: name them")
     else:
-        chosen = list(dict.fromkeys(runs))
+        chosen = choose_runs(src, files, runs)
     for run in chosen:
-        if run not in files:
-            raise UserError(
-                f"{src} has no ground truth of a run {run!r}: choose from {', '.join(files)}"
-            )
         if run not in usable:
             raise UserError(
                 f"{src} has neither {lidar} nor pictures of {camera} of run {run}: unpack them to "
                 f"{src / 'velodyne_data' / run} and {src / 'images' / run}"
             )
-    if not chosen:
-        raise UserError(f"no run of {src} is chosen: choose from {', '.join(files)}")
     return [files[run] for run in chosen]
 
 
@@ -103,23 +94,3 @@ def _find_files(src: Path, run: str, truth: Path, camera: str, lidar: str) -> Ru
         scan_files=find("velodyne_data", lidar) if lidar == "velodyne_sync" else None,
         packets=find("velodyne_data", f"{lidar}.bin") if lidar == "velodyne_hits" else None,
     )
-
-
-def file_times(folder: Path, suffix: str) -> Int64[np.ndarray, " n"]:
-    """The microseconds that files in a folder are named by, rising; UserError where there are none.
-
-    The names are read, not the files.
-    """
-    pattern = re.compile(rf"([1-9][0-9]{{0,15}}){re.escape(suffix)}", re.ASCII)
-    try:
-        named = [pattern.fullmatch(path.name) for path in folder.iterdir()]
-    except OSError as error:
-        raise UserError(
-            f"{folder} cannot be read ({error.strerror}): unpack it again, or leave the run out"
-        ) from error
-    times = sorted(int(name[1]) for name in named if name)
-    if not times:
-        raise UserError(
-            f"{folder} holds no <microseconds>{suffix}: unpack it again, or leave the run out"
-        )
-    return np.array(times, dtype=np.int64)

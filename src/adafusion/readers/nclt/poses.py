@@ -19,13 +19,10 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.spatial.transform import Rotation
 
-from adafusion.geometry import invert, pose
-from adafusion.readers.nclt.velodyne import T_BODY_NCLT
+from adafusion.readers.sensors import T_ENU_NED, T_FLU_FRD
 from adafusion.readers.text import read_numbers
 from adafusion.readers.track import Track
 from adafusion.types import UserError
-
-T_WORLD_NED = pose(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), (0.0, 0.0, 0.0))
 
 ORIGIN_DEG, ORIGIN_ALTITUDE_M = (42.293227, -83.709657), 270.0
 _EQUATOR_M, _POLE_M = 6_378_135.0, 6_356_750.0
@@ -58,7 +55,7 @@ def track_around(rows: Float64[np.ndarray, "n 7"], at_us: Int64[np.ndarray, " k"
     T = np.tile(np.eye(4), (len(near), 1, 1))
     T[:, :3, :3] = Rotation.from_euler("xyz", rows[near, 4:]).as_matrix()  # about fixed axes
     T[:, :3, 3] = rows[near, 1:4]
-    return Track(time_us[near], T_WORLD_NED @ T @ invert(T_BODY_NCLT))
+    return Track(time_us[near], T_ENU_NED @ T @ T_FLU_FRD)
 
 
 def read_ins(

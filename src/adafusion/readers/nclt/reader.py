@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """NCLT, the University of Michigan North Campus Long-Term data set, as its archives unpack.
 
-    <src>/ground_truth/groundtruth_<run>.csv                                    see `nclt_poses`
+    <src>/ground_truth/groundtruth_<run>.csv                                    see `poses`
     <src>/sensor_data/<run>/{gps,ms25_euler}.csv
-    <src>/velodyne_data/<run>/velodyne_sync/<utime>.bin, or velodyne_hits.bin   see `nclt_velodyne`
-    <src>/images/<run>/lb3/Cam5/<utime>.tiff                                    see `nclt_camera`
+    <src>/velodyne_data/<run>/velodyne_sync/<utime>.bin, or velodyne_hits.bin   see `velodyne`
+    <src>/images/<run>/lb3/Cam5/<utime>.tiff                                    see `camera`
     <src>/cam_params/{K_cam5,x_lb3_c5}.csv, <src>/U2D_Cam5_1616X1232.txt
 
 A run is a date. Its files may also lie in `<src>/<run>/`, where the archives put them when all are
@@ -25,6 +25,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -37,19 +38,19 @@ from adafusion.readers.nclt.files import (
     CAMERAS,
     LIDARS,
     RunFiles,
-    choose_runs,
-    file_times,
+    find_runs,
     find_truth,
 )
 from adafusion.readers.nclt.poses import read_ins, read_truth, track_around
 from adafusion.readers.nclt.velodyne import (
     T_BODY_VELODYNE,
     TURN_EDGES_US,
-    Turn,
     find_turn,
     read_scan,
     read_turn,
 )
+from adafusion.readers.runs import file_times
+from adafusion.readers.sensors import refuse
 from adafusion.readers.track import keyframes, nearest
 from adafusion.types import Frame, UserError
 
@@ -93,11 +94,13 @@ def read(
     if not (0 <= every_m < np.inf and 0 <= slop_ms < 1e9):
         raise UserError(f"every-m {every_m} and slop-ms {slop_ms} must be numbers of 0 or more")
     notes: list[str] = []
-    chosen = choose_runs(src, runs, camera, lidar, notes)
+    chosen = find_runs(src, runs, camera, lidar, notes)
     seen = any(files.images is not None for files in chosen)
     lens = read_lens(Path(calibration or src), camera) if seen else None
     drives = [_read_drive(files, every_m, round(slop_ms * 1000), notes) for files in chosen]
     settings = f"every {every_m:g} m, {camera}, {lidar}, at most {slop_ms:g} ms apart"
+    if calibration is not None:
+        settings += f", calibration {calibration}"
     return Recording(
         info=_describe(src, settings, camera, lens),
         shots=(shot for drive in drives for shot in _shots(drive, lens)),
@@ -119,7 +122,7 @@ class _Drive:
     T_world_body: Float64[np.ndarray, "n 4 4"]
     has_ins: Bool[np.ndarray, " n"]
     T_world_ins: Float64[np.ndarray, "n 4 4"]
-    turns: list[Turn]  # of velodyne_hits alone
+    turns: list[partial[Any]]  # of velodyne_hits alone: each reads one, or tells what is amiss
 
 
 def _read_drive(files: RunFiles, every_m: float, slop_us: int, notes: list[str]) -> _Drive:
@@ -137,11 +140,11 @@ def _read_drive(files: RunFiles, every_m: float, slop_us: int, notes: list[str])
 
     T_world_body = track.at(time_us)
     kept = keyframes(T_world_body[:, :3, 3], every_m)
-    turns: list[Turn] = []
+    turns: list[partial[Any]] = []
     if files.packets is not None:
         T_edges = track.at(edges_us[kept].ravel()).reshape(len(kept), -1, 4, 4)
         found = [
-            find_turn(files.packets, end_us, T)
+            _turn(files.packets, end_us, T)
             for end_us, T in zip(time_us[kept].tolist(), T_edges, strict=True)
         ]
         turns = [turn for turn in found if turn is not None]
@@ -163,6 +166,17 @@ def _read_drive(files: RunFiles, every_m: float, slop_us: int, notes: list[str])
     )
 
 
+def _turn(
+    packets: Path, end_us: int, T_world_body: Float64[np.ndarray, "k 4 4"]
+) -> partial[Any] | None:
+    """What reads the turn that ended at a time; None where it has a gap."""
+    try:
+        turn = find_turn(packets, end_us, T_world_body)
+    except UserError as error:  # damage near this turn says nothing of the others
+        return partial(refuse, str(error))
+    return None if turn is None else partial(read_turn, turn)
+
+
 def _candidates(
     files: RunFiles, rows: Float64[np.ndarray, "n 7"], slop_us: int, notes: list[str]
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
@@ -170,21 +184,30 @@ def _candidates(
     if files.images is None:
         notes.append(f"run {files.run} has no pictures: its frames are of the LiDAR alone")
         if files.scan_files is not None:
-            time_us = file_times(files.scan_files, ".bin")
+            time_us = _times(files.scan_files, ".bin")
         else:
             _, first = np.unique(rows[:, 0] // CAMERA_US, return_index=True)
             time_us = rows[first, 0].astype(np.int64)
         return time_us, time_us
-    image_us = file_times(files.images, ".tiff")
+    image_us = _times(files.images, ".tiff")
     if files.scan_files is None:
         if files.packets is None:
             notes.append(f"run {files.run} has no scans: its frames are of the camera alone")
         return image_us, image_us
-    time_us = file_times(files.scan_files, ".bin")
+    time_us = _times(files.scan_files, ".bin")
     image_us = image_us[nearest(image_us, time_us)]
     paired = np.abs(image_us - time_us) <= slop_us
     _note_loss(notes, files, paired, f"scans have no image within {slop_us / 1000:g} ms")
     return time_us[paired], image_us[paired]
+
+
+def _times(folder: Path, suffix: str) -> Int64[np.ndarray, " n"]:
+    times = file_times(folder, suffix)
+    if len(times) == 0:
+        raise UserError(
+            f"{folder} holds no <microseconds>{suffix}: unpack it again, or leave the run out"
+        )
+    return times
 
 
 def _note_loss(notes: list[str], files: RunFiles, kept: Bool[np.ndarray, " n"], what: str) -> None:
@@ -201,7 +224,7 @@ def _shots(drive: _Drive, lens: Lens | None) -> Iterator[Shot]:
         if files.images is not None and lens is not None:
             image = partial(read_picture, files.images / f"{image_us}.tiff", lens.u2d)
         if files.packets is not None:
-            cloud = partial(read_turn, drive.turns[row])
+            cloud = drive.turns[row]
         elif files.scan_files is not None:
             cloud = partial(read_scan, files.scan_files / f"{time_us}.bin")
         T_world_body = drive.T_world_body[row]

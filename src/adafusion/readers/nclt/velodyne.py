@@ -21,16 +21,16 @@ from jaxtyping import Float, Float32, Float64, Shaped
 
 from adafusion.datasets.sensor_files import check_points, read_bytes
 from adafusion.geometry import invert, pose, rotation_from_rpy, transform
+from adafusion.readers.sensors import T_FLU_FRD
 from adafusion.readers.track import Track
 from adafusion.types import UserError
 
-# the robot's frame of NCLT has x forward, y right, z down; its origin is on the ground
-T_BODY_NCLT = pose(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, 0.0))
+# the robot's frame of NCLT has x forward, y right, z down; its origin is on the ground: T_FLU_FRD
 # the sensor hangs upside down, so its own z points down too; the paper gives degrees
 T_NCLT_VELODYNE = pose(
     rotation_from_rpy(*np.radians([0.807, 0.166, -90.703])), (0.002, -0.004, -0.957)
 )
-T_BODY_VELODYNE = T_BODY_NCLT @ T_NCLT_VELODYNE
+T_BODY_VELODYNE = T_FLU_FRD @ T_NCLT_VELODYNE
 
 # The turn that a frame shows ended at its time and took 0.1 s, as in velodyne_sync. The robot went
 # straight between these times; there must be packets between any two.
@@ -45,6 +45,7 @@ _HEADER = struct.Struct("<8sIQ4x")  # magic, hits, microseconds
 _MOST_HITS = 4096  # the sensor sends 384 at a time
 _LARGEST = _HEADER.size + _MOST_HITS * _HIT.itemsize
 _LARGEST_TURN = 16_000_000  # bytes; a real one has some 0.5 MB
+_LARGEST_HOLE = 16_000_000  # bytes that no packet begins in
 _REMEDY = "unpack the archive of the day again, or leave the run out"
 
 
@@ -57,7 +58,7 @@ def read_scan(path: Path) -> Float32[np.ndarray, "n 3"]:
             f"hits; unpack it again, or leave it out"
         )
     points_nclt = _as_points(np.frombuffer(data, _HIT), sensor_m=T_NCLT_VELODYNE[:3, 3])
-    return check_points(transform(T_BODY_NCLT, points_nclt), path)
+    return check_points(transform(T_FLU_FRD, points_nclt), path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,19 +155,22 @@ def _find_packet(file: BinaryIO, path: Path, at_us: int, low: int, high: int) ->
 def _next_packet(file: BinaryIO, path: Path, at: int, limit: int) -> tuple[int, int, int] | None:
     """Offset, microseconds and end of the first whole packet that begins in bytes `at` to `limit`.
 
-    UserError where none is near and there should be one: the stream is damaged.
+    UserError where none is near and there should be one: the stream is damaged. Shorter holes,
+    which a disk fills with zeros, are searched through.
     """
-    file.seek(at)
-    data = file.read(_LARGEST + _HEADER.size)
-    start = data.find(_MAGIC)
-    while 0 <= start < limit - at and start + _HEADER.size <= len(data):
-        _, count, utime = _HEADER.unpack_from(data, start)
-        end = at + start + _size(count)
-        if count <= _MOST_HITS and _begins_packet(file, end):
-            return at + start, utime, end
-        start = data.find(_MAGIC, start + 1)
-    if limit - at > _LARGEST:
-        raise UserError(f"{path}: no packet begins within {_LARGEST} bytes of {at}: {_REMEDY}")
+    last = min(limit, at + _LARGEST_HOLE)
+    for start in range(at, last, _LARGEST):
+        file.seek(start)
+        data = file.read(_LARGEST + _HEADER.size)
+        found = data.find(_MAGIC)
+        while 0 <= found < min(_LARGEST, last - start) and found + _HEADER.size <= len(data):
+            _, count, utime = _HEADER.unpack_from(data, found)
+            end = start + found + _size(count)
+            if count <= _MOST_HITS and _begins_packet(file, end):
+                return start + found, utime, end
+            found = data.find(_MAGIC, found + 1)
+    if last < limit:
+        raise UserError(f"{path}: no packet begins within {_LARGEST_HOLE} bytes of {at}: {_REMEDY}")
     return None
 
 

@@ -30,9 +30,10 @@ from jaxtyping import Float32, Float64
 from adafusion.datasets.native import CONVENTIONS, DatasetInfo
 from adafusion.datasets.recording import Recording, Shot
 from adafusion.datasets.sensor_files import IMAGE_SUFFIXES
+from adafusion.readers.calibration import is_camera_matrix
 from adafusion.readers.nuscenes.tables import motion, numbers, read_table, word
 from adafusion.readers.runs import choose_runs, matches
-from adafusion.readers.sensors import encoded_image, is_projection, read_points, to_body
+from adafusion.readers.sensors import encoded_image, read_xyz, to_body
 from adafusion.readers.text import path_inside
 from adafusion.readers.track import keyframes
 from adafusion.types import Frame, UserError
@@ -151,7 +152,7 @@ def _read_sensors(tables: Path, camera: str) -> dict[str, _Sensor]:
         channel = channels.get(word(record, "sensor_token", path))
         if channel in (camera, LIDAR):
             K = numbers(record, "camera_intrinsic", path, (3, 3)) if channel == camera else None
-            if K is not None and not is_projection(K):
+            if K is not None and not is_camera_matrix(K):
                 raise UserError(f"{path}: camera_intrinsic of {channel} is no projection: {_FETCH}")
             sensors[word(record, "token", path)] = _Sensor(channel, motion(record, path), K)
     return sensors
@@ -251,11 +252,11 @@ def _shots(
                 T_world_body=T_world_body,
                 image_time_us=image.time_us if image and image.time_us != at_us else None,
             ),
-            image=None if image is None else partial(encoded_image, image.path),
+            image=None if image is None else partial(_read_image, image.path),
             cloud=None
             if cloud is None
             else partial(to_body, _read_scan, cloud.path, sensors[cloud.sensor].T_body_sensor),
-            image_suffix=".png" if image is None else _suffix(image.path),
+            image_suffix=".png" if image is None else image.path.suffix,
         )
 
 
@@ -265,7 +266,8 @@ def _calibration(scene: _Scene, sensors: Mapping[str, _Sensor]) -> dict[str, lis
     if scene.images:
         camera = sensors[next(iter(scene.images.values())).sensor]
         known["T_body_camera"] = camera.T_body_sensor.tolist()
-        known["K"] = [] if camera.K is None else camera.K.tolist()
+        if camera.K is not None:
+            known["K"] = camera.K.tolist()
     if scene.clouds:
         lidar = sensors[next(iter(scene.clouds.values())).sensor]
         known["T_body_lidar"] = lidar.T_body_sensor.tolist()
@@ -273,13 +275,13 @@ def _calibration(scene: _Scene, sensors: Mapping[str, _Sensor]) -> dict[str, lis
 
 
 def _read_scan(path: Path) -> Float32[np.ndarray, "n 3"]:
-    return read_points(path, _RECORD_BYTES)
+    return read_xyz(path, _RECORD_BYTES)
 
 
-def _suffix(image: Path) -> str:
-    if image.suffix not in IMAGE_SUFFIXES:
-        raise UserError(f"{image} is no .png or .jpg: fetch the images of nuScenes again")
-    return image.suffix
+def _read_image(path: Path) -> bytes:
+    if path.suffix not in IMAGE_SUFFIXES:
+        raise UserError(f"{path} is no .png or .jpg: fetch the images of nuScenes again")
+    return encoded_image(path)
 
 
 def _is_file(path: Path) -> bool:

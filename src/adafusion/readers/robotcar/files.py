@@ -9,7 +9,6 @@ y right, z down; a rotation is given as R = Rz(yaw) Ry(pitch) Rx(roll).
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -271,18 +270,3 @@ def read_scan(folder: Path, flat: bool, time_us: int) -> Float64[np.ndarray, "n 
     points = points[inside]
     far = np.linalg.norm(points, axis=1)
     return points[(far >= NEAREST_M) & (far <= FARTHEST_M)]
-
-
-def read_times(folder: Path, suffix: str) -> Int64[np.ndarray, " n"]:
-    """Times of the files of a sensor, as their names say; none where there is no such folder.
-
-    The lists `<sensor>.timestamps` name what was recorded; of that, archives bring some parts.
-    """
-    try:
-        names = [path.name for path in folder.iterdir()]
-    except OSError:
-        names = []
-    # from 1: a name with leading zeros would not be found again
-    stamp = re.compile(rf"([1-9][0-9]{{0,17}}){re.escape(suffix)}", re.ASCII)
-    matches = (stamp.fullmatch(name) for name in names)
-    return np.array(sorted(int(match[1]) for match in matches if match), dtype=np.int64)

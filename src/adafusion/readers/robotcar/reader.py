@@ -50,11 +50,12 @@ from adafusion.readers.robotcar.files import (
     read_poses,
     read_rig,
     read_scan,
-    read_times,
     rtk_file,
     runs_there,
 )
 from adafusion.readers.robotcar.submaps import Sweep, join, looks_down_rad, stretches, sweep
+from adafusion.readers.runs import choose_runs, file_times
+from adafusion.readers.sensors import T_ENU_NED, T_FLU_FRD
 from adafusion.readers.track import Track, keyframes
 from adafusion.types import Frame, UserError
 
@@ -73,9 +74,6 @@ GAP_US = 200_000  # between poses that are interpolated; recorded are 50 a secon
 # "Self-Supervised Scale Recovery for Monocular Depth and Egomotion Estimation" (arXiv 2009.03787)
 CAMERA_HEIGHT_M = 1.52
 CHORD_US, CHORD_M = 1_000_000, 3.0  # of the way, to see which way the camera looks
-
-T_WORLD_NED = pose(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), (0.0, 0.0, 0.0))
-Z_UP = np.diag([1.0, -1.0, -1.0])  # from right and down to left and up
 
 
 def recognises(src: Path) -> bool:
@@ -124,10 +122,13 @@ def read(
     seen = np.concatenate([drive.looks_down_rad for drive in drives])
     looks_down = float(np.median(seen)) if len(seen) else 0.0
     T_body_stereo = pose(
-        rotation_from_rpy(0.0, looks_down, 0.0) @ Z_UP, (0.0, 0.0, CAMERA_HEIGHT_M)
+        rotation_from_rpy(0.0, looks_down, 0.0) @ T_FLU_FRD[:3, :3], (0.0, 0.0, CAMERA_HEIGHT_M)
     )
+    settings = f"{camera}, submaps of {LENGTH_M:g} m of {lidar}, every {every_m:g} m"
+    if calibration is not None:
+        settings += f", calibration {calibration}"
     return Recording(
-        info=_info(src, drives, rig, T_body_stereo, every_m),
+        info=_info(src, drives, rig, T_body_stereo, settings),
         shots=_shots(drives, rig, T_body_stereo),
         total=sum(len(drive.at_us) for drive in drives),
         notes=notes,
@@ -146,19 +147,15 @@ def _choose(src: Path, runs: Sequence[str] | None, notes: list[str]) -> list[str
         ) from error
     if not there:
         raise UserError(f"{src} holds no runs: give the folder above <run>/stereo and <run>/gps")
+    chosen = choose_runs(src, there, runs, preferred=RUNS)
     if runs is not None:
-        if wrong := [run for run in runs if run not in there]:
-            raise UserError(f"{src / wrong[0]} is no run: choose from {', '.join(there)}")
-        if not runs:
-            raise UserError(f"no run of {src} is chosen: choose from {', '.join(there)}")
-        return list(dict.fromkeys(runs))
-    of_paper = [run for run in there if run in RUNS]
-    with_poses = [run for run in of_paper or there if has_poses(src, run)]
-    if lacking := [run for run in of_paper or there if run not in with_poses]:
+        return chosen
+    with_poses = [run for run in chosen if has_poses(src, run)]
+    if lacking := [run for run in chosen if run not in with_poses]:
         notes.append(f"left out, as they have neither gps/ins.csv nor rtk.csv: {' '.join(lacking)}")
-    if of_paper and (others := len(there) - len(of_paper)):
+    if others := len(there) - len(chosen):
         notes.append(f"{others} runs that are not of the paper's ten are left out: name them")
-    return with_poses or of_paper or there  # where none has poses, to read the first says it
+    return with_poses or chosen  # where none has poses, to read the first says it
 
 
 # ------------------------------------------------------------------------------------------ one run
@@ -188,8 +185,9 @@ def _read_drive(
     track = _track(read_poses(table), rig, notes)
     if track is None:
         raise UserError(f"{table} holds no good pose: leave the run out, or give other poses")
-    images = read_times(src / run / rig.camera, ".png")
-    scan_us = read_times(src / run / rig.lidar, ".bin")
+    # the lists <sensor>.timestamps name what was recorded; of that, archives bring some parts
+    images = file_times(src / run / rig.camera, ".png")
+    scan_us = file_times(src / run / rig.lidar, ".bin")
     scans = sweep(track, scan_us, every_m=FAN_M, gap_us=GAP_US) if len(scan_us) else None
     for times, sensor in ((images, rig.camera), (scan_us, rig.lidar)):
         if not len(times):
@@ -229,7 +227,7 @@ def _track(found: Poses, rig: Rig, notes: list[str]) -> Track | None:
     notes += found.notes
     if len(found.time_us) == 0:
         return None
-    return Track(found.time_us, T_WORLD_NED @ found.T_ned_ins @ invert(rig.T_stereo_ins))
+    return Track(found.time_us, T_ENU_NED @ found.T_ned_ins @ invert(rig.T_stereo_ins))
 
 
 def _by_ins(
@@ -294,7 +292,7 @@ def _info(
     drives: Sequence[_Drive],
     rig: Rig,
     T_body_stereo: Float64[np.ndarray, "4 4"],
-    every_m: float,
+    settings: str,
 ) -> DatasetInfo:
     known = Calibration(
         K=rig.K,
@@ -304,10 +302,7 @@ def _info(
     info = DatasetInfo(
         name="robotcar",
         version="raw",
-        source=(
-            f"Oxford RobotCar (Maddern, Pascoe, Linegar, Newman, IJRR 2017); {rig.camera}, submaps "
-            f"of {LENGTH_M:g} m of {rig.lidar}, every {every_m:g} m"
-        ),
+        source=f"Oxford RobotCar (Maddern, Pascoe, Linegar, Newman, IJRR 2017); {settings}",
         licence="CC BY-NC-SA 4.0",
         synthetic=False,
         world="UTM zone 30N",
