@@ -17,7 +17,6 @@ import yaml
 from adafusion.datasets import Dataset
 from adafusion.evaluation import dataset_splits, evaluate_splits
 from adafusion.experiments import (
-    Corpus,
     ExamData,
     Job,
     all_jobs,
@@ -26,8 +25,10 @@ from adafusion.experiments import (
     plan_jobs,
     train_jobs,
 )
+from adafusion.experiments.budget import batches_of
 from adafusion.experiments.judging import answers, ask, evaluate_model
 from adafusion.models import load_model
+from adafusion.training.corpus import Corpus
 from adafusion.training.sampler import Sampler
 from adafusion.training.settings import Mining, Sampling
 from adafusion.types import UserError
@@ -166,9 +167,9 @@ def test_a_training_is_known_by_its_content_wherever_it_lies(branch) -> None:
 def test_a_budget_is_spent_whatever_a_batch_holds(
     corpus: Corpus, tiny_world: Dataset, sampling: Sampling
 ) -> None:
-    batches = corpus.batches(sampling, 900)
+    batches = batches_of(corpus, sampling, 900)
     rows = corpus.rows("train")
-    sampler = Sampler(sampling, corpus._unread, rows, seed=3)
+    sampler = Sampler(sampling, corpus.unread, rows, seed=3)
     rng = np.random.default_rng(1)
     passes = 0
     for number, batch in enumerate(sampler.batches(0, batches), 1):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from adafusion.cli.common import Cache, bar, cache_folder, open_data, say, split_names
-from adafusion.cli.training import with_camera
+from adafusion.training.corpus import Corpus, with_camera
 
 if TYPE_CHECKING:
     from adafusion.experiments import Job
@@ -84,7 +84,7 @@ def experiment(
         raise UserError("give both --train and --test, or a --world that has both parts")
     teaches = train or [Path(world) / "train"]
     judges = test or [Path(world) / "test"]
-    corpus = e.Corpus(tuple(open_data(path, cache) for path in teaches))
+    corpus = Corpus(tuple(open_data(path, cache) for path in teaches))
     if budget is None:
         frames = len(corpus.rows("train"))
         known = None if train else e.BUDGETS.get(world)

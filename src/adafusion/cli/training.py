@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,13 +13,7 @@ import typer
 from adafusion.cli.common import Cache, bar, cache_folder, named_config, open_data, say
 
 if TYPE_CHECKING:
-    import numpy as np
-    from jaxtyping import Float, Int
-
-    from adafusion.datasets import Dataset
-    from adafusion.preprocess import Preprocess
-    from adafusion.preprocess.cache import PreparedSet
-    from adafusion.training import Step, TrainConfig
+    from adafusion.training import Step
 
 Accelerator = Literal["auto", "cpu", "cuda"]
 Precision = Literal["32-true", "bf16-mixed"]  # 16-mixed scales losses by a state no resume keeps
@@ -79,6 +72,7 @@ def train(
     from adafusion.training import TrainConfig, phases
     from adafusion.training import train as run
     from adafusion.training.checkpoint import STATE_FILE, require_config
+    from adafusion.training.corpus import Corpus, with_camera
     from adafusion.training.loop import MODEL_FILE
     from adafusion.types import UserError
 
@@ -90,17 +84,19 @@ def train(
     if asked.exists() and not resume:
         raise UserError(f"{out} holds a training: give --resume to go on, or another folder")
     folder = cache_folder(cache)
-    settings = with_camera(settings, open_data(datasets[0], folder))
+    taught = Corpus(tuple(open_data(path, folder) for path in datasets))
+    settings = with_camera(settings, taught.datasets[0])
     if asked.exists():
         require_config(asked, settings)
-    taught = Corpus.prepare(datasets, settings.model.preprocess, folder)
+    data = taught.prepare(settings.model.preprocess, folder, bar)
     rows = taught.rows("train")
     if validation:
-        judges = Corpus.prepare(validation, settings.model.preprocess, folder)
+        judges = Corpus(tuple(open_data(path, folder) for path in validation))
         named = any(dataset.info.regions for dataset in judges.datasets)
         judge_rows = judges.rows("validation" if named else None)  # never a test region
     else:
         judges, judge_rows = taught, taught.rows("validation")
+    judging = data if judges is taught else judges.prepare(settings.model.preprocess, folder, bar)
     say(f"training on {len(rows)} frames, choosing on {len(judge_rows)}")
     card = {
         "data": taught.facts(),
@@ -115,9 +111,9 @@ def train(
             continue
         steps = run(
             phase.config,
-            taught.data,
+            data,
             rows,
-            validation_recall(judges.data, judge_rows),
+            validation_recall(judging, judge_rows),
             phase.out,
             points=taught.points if phase.config.augment.jitter_m else None,
             resume=resume and (phase.out / STATE_FILE).exists(),
@@ -128,86 +124,6 @@ def train(
         best = _watch(phase.name, steps, phase.out)
         (phase.out / DONE).touch()
         print(f"{phase.out / MODEL_FILE}: validation recall@1 {best:.1%}")
-
-
-def with_camera(settings: TrainConfig, dataset: Dataset) -> TrainConfig:
-    """Settings whose elevation map, where there is one, knows the camera of the dataset's rig."""
-    from adafusion.preprocess.elevation import rig_camera
-    from adafusion.types import UserError
-
-    preprocess = settings.model.preprocess
-    if preprocess.lidar != "elevation" or preprocess.elevation.camera is not None:
-        return settings
-    seen = next((frame for frame in dataset.frames if frame.image is not None), None)
-    if seen is None:
-        raise UserError(
-            f"{dataset.root}: {settings.model.system} looks for the map's cells in images"
-        )
-    image = dataset.load(seen).image
-    assert image is not None
-    height, width = image.shape[:2]
-    camera = rig_camera(dataset.info.calibration, (height, width))
-    return replace(
-        settings,
-        model=replace(
-            settings.model,
-            preprocess=replace(preprocess, elevation=replace(preprocess.elevation, camera=camera)),
-        ),
-    )
-
-
-@dataclass(frozen=True)
-class Corpus:
-    """Opened datasets and their preprocessed frames, row by row."""
-
-    datasets: tuple[Dataset, ...]
-    data: PreparedSet
-
-    @classmethod
-    def prepare(cls, paths: Sequence[Path], settings: Preprocess, cache: Path) -> Corpus:
-        """Open the datasets and preprocess what the cache does not hold yet."""
-        from adafusion.preprocess.cache import PreparedSet, prepare_cache
-
-        datasets = tuple(open_data(path, cache) for path in paths)
-        prepared = (prepare_cache(ds, settings, cache, progress=bar) for ds in datasets)
-        return cls(datasets, PreparedSet(tuple(prepared)))
-
-    def rows(self, region: str | None) -> Int[np.ndarray, " n"]:
-        """Rows in the region that have both sensors; None: anywhere."""
-        import numpy as np
-
-        from adafusion.datasets.splits import region_of
-        from adafusion.types import UserError
-
-        keep = self.data.has_image & self.data.has_cloud
-        if region is not None:
-            names = [region_of(ds.positions_m[:, :2], ds.info.regions) for ds in self.datasets]
-            keep = keep & (np.concatenate(names) == region)
-        if not keep.any():
-            raise UserError(
-                f"{', '.join(str(ds.root) for ds in self.datasets)}: no frame with both sensors "
-                f"in the {region or 'whole'} region: cut it with `adafusion split`, or choose by "
-                "another dataset with --validation"
-            )
-        return np.flatnonzero(keep)
-
-    def points(self, row: int) -> Float[np.ndarray, "n 3"]:
-        """The raw cloud of a row, for jitter."""
-        cloud = self.datasets[int(self.data.worlds[row])].load(self.data.frames[row]).points_body
-        assert cloud is not None  # `rows` gives only rows that have one
-        return cloud
-
-    def facts(self) -> list[dict[str, object]]:
-        """What a model card says of the data."""
-        return [
-            {
-                "name": dataset.info.name,
-                "version": dataset.info.version,
-                "fingerprint": dataset.fingerprint,
-                "synthetic": dataset.info.synthetic,
-            }
-            for dataset in self.datasets
-        ]
 
 
 def _watch(name: str, steps: Iterable[Step], out: Path) -> float:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The comparisons of the paper, each one resumable command: planned, trained, judged, written."""
 
-from adafusion.experiments.corpus import Corpus
 from adafusion.experiments.figures import draw_recall
 from adafusion.experiments.jobs import Job, all_jobs, plan_jobs, train_jobs
 from adafusion.experiments.judging import ExamData
@@ -21,7 +20,6 @@ __all__ = [
     "BUDGETS",
     "EXPERIMENTS",
     "PASSES_A_FRAME",
-    "Corpus",
     "ExamData",
     "Experiment",
     "Job",

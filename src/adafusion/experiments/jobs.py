@@ -25,12 +25,13 @@ from filelock import FileLock
 
 from adafusion.config import to_plain
 from adafusion.evaluation import validation_recall
-from adafusion.experiments.corpus import Corpus
+from adafusion.experiments.budget import batches_of
 from adafusion.experiments.plan import Experiment, Training
 from adafusion.files import fingerprint, write_json
 from adafusion.provenance import git_commit, software_versions
 from adafusion.training import TrainConfig, train
 from adafusion.training.checkpoint import STATE_FILE
+from adafusion.training.corpus import Corpus
 from adafusion.training.loop import MODEL_FILE, SELECTED_BY
 from adafusion.types import Progress, silent
 from adafusion.workers import map_in_processes
@@ -93,7 +94,7 @@ def plan_jobs(experiment: Experiment, seeds: Sequence[int], corpus: Corpus, out:
         sources = tuple(job(source, seed) for source in training.starts_from)
         budget = (training.config.sampling, training.passes)
         if budget not in batches:
-            batches[budget] = corpus.batches(*budget)
+            batches[budget] = batches_of(corpus, *budget)
         config = replace(
             training.config,
             seed=seed,

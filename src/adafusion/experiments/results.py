@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from adafusion.evaluation import describe_protocol
+from adafusion.experiments.budget import validation_answers
 from adafusion.experiments.convergence import half_width, still_rising
-from adafusion.experiments.corpus import Corpus
 from adafusion.experiments.jobs import Job, Rows, all_jobs, passes_of, row_curve
 from adafusion.experiments.judging import (
     Answers,
@@ -29,6 +29,7 @@ from adafusion.experiments.judging import (
 from adafusion.experiments.plan import Experiment, Row
 from adafusion.experiments.verdict import DRAWS, Asked, Verdict, estimate, judge_difference
 from adafusion.provenance import git_commit, software_versions
+from adafusion.training.corpus import Corpus
 from adafusion.types import Estimate, Progress, silent
 
 SCHEMA = 1
@@ -54,7 +55,7 @@ def measure(
     """Evaluate every trained row that is not yet evaluated, and put the results together."""
     protocols = experiment.protocols
     questions = {protocol: ask(exams, protocol) for protocol in protocols}
-    num_answers = corpus.validation_answers()
+    num_answers = validation_answers(corpus)
     table: list[dict[str, Any]] = []
     said: dict[str, tuple[Answers, ...]] = {}  # under the first protocol
     data: list[Any] = []

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""The datasets that teach, as the trainings of an experiment need them."""
+"""The datasets that a training learns from or is chosen by, row by row."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,20 +14,17 @@ from jaxtyping import Float, Int
 
 from adafusion.datasets import Dataset, open_dataset
 from adafusion.datasets.splits import region_of
-from adafusion.evaluation import evaluate_splits, make_splits
 from adafusion.files import fingerprint
 from adafusion.preprocess import Preprocess
 from adafusion.preprocess.cache import PreparedFrames, PreparedSet, prepare_cache
-from adafusion.training.sampler import Sampler
-from adafusion.training.settings import Sampling
+from adafusion.preprocess.elevation import rig_camera
+from adafusion.training.settings import TrainConfig
 from adafusion.types import SENSORS, Progress, UserError, lacking, silent
-
-SAMPLED = 50  # batches from which the frames of one are counted
 
 
 @dataclass(frozen=True, eq=False)
 class Corpus:
-    """Opened training datasets; rows run through the frames of all of them."""
+    """Opened datasets; rows run through the frames of all of them, one dataset after the other."""
 
     datasets: tuple[Dataset, ...]
 
@@ -41,16 +38,19 @@ class Corpus:
         """Identity of everything that could teach."""
         return fingerprint(*(dataset.fingerprint for dataset in self.datasets))
 
-    def rows(self, region: str) -> Int[np.ndarray, " n"]:
-        """Rows in the region that have both sensors; UserError where there are none."""
+    def rows(self, region: str | None) -> Int[np.ndarray, " n"]:
+        """Rows in the region (None: anywhere) with both sensors; UserError where there are none."""
         frames = [frame for dataset in self.datasets for frame in dataset.frames]
         has_both = np.array([not lacking(frame, SENSORS) for frame in frames])
-        names = [region_of(ds.positions_m[:, :2], ds.info.regions) for ds in self.datasets]
-        rows = np.flatnonzero(has_both & (np.concatenate(names) == region))
+        if region is not None:
+            names = [region_of(ds.positions_m[:, :2], ds.info.regions) for ds in self.datasets]
+            has_both &= np.concatenate(names) == region
+        rows = np.flatnonzero(has_both)
         if not len(rows):
             raise UserError(
                 f"{', '.join(str(ds.root) for ds in self.datasets)}: no frame with both sensors in "
-                f"the {region} region: cut one with `adafusion split`"
+                f"the {region or 'whole'} region: cut it with `adafusion split`, or choose by "
+                "another dataset (--validation)"
             )
         return rows
 
@@ -83,44 +83,8 @@ class Corpus:
             for dataset in self.datasets
         ]
 
-    def batches(self, sampling: Sampling, passes: int) -> int:
-        """How many batches make so many frame passes, on average over what the sampler draws.
-
-        Batches differ in frames, and mining adds some once it has begun; what a training really
-        spent is counted as it goes.
-        """
-        rows = self.rows("train")
-        sampler = Sampler(sampling, self._unread, rows, seed=0)
-
-        def frames() -> float:
-            return float(np.mean([len(batch.rows) for batch in sampler.batches(0, SAMPLED)]))
-
-        plain = frames()
-        mining = sampling.mining
-        if mining is None or passes <= mining.after * plain:
-            return max(1, round(passes / plain))
-        rng = np.random.default_rng(0)
-        sampler.described = rng.standard_normal((len(rows), 2)).astype(np.float32)
-        return mining.after + max(1, round((passes - mining.after * plain) / frames()))
-
-    def validation_answers(self) -> int:
-        """Queries of the validation region that have a true match, over all pairs of runs."""
-        rows = self.rows("validation")
-        data = self._unread
-        count = 0
-        for world in np.unique(data.worlds[rows]):
-            here = rows[data.worlds[rows] == world]
-            region = np.full(len(here), "validation")
-            splits = make_splits(
-                "cross-run", [data.frames[row] for row in here], region, region="validation"
-            )
-            nothing = np.zeros((len(here), 1), np.float32)
-            answered = evaluate_splits(nothing, data.positions[here], splits, ks=[1])
-            count += int(answered.answerable.sum())
-        return count
-
     @cached_property
-    def _unread(self) -> PreparedSet:
+    def unread(self) -> PreparedSet:
         """Where and when frames were taken, without anything that the sensors saw."""
         return PreparedSet(
             tuple(
@@ -128,3 +92,26 @@ class Corpus:
                 for ds in self.datasets
             )
         )
+
+
+def with_camera(settings: TrainConfig, dataset: Dataset) -> TrainConfig:
+    """Settings whose elevation map, where there is one, knows the camera of the dataset's rig."""
+    preprocess = settings.model.preprocess
+    if preprocess.lidar != "elevation" or preprocess.elevation.camera is not None:
+        return settings
+    seen = next((frame for frame in dataset.frames if frame.image is not None), None)
+    if seen is None:
+        raise UserError(
+            f"{dataset.root}: {settings.model.system} looks for the map's cells in images"
+        )
+    image = dataset.load(seen).image
+    assert image is not None
+    height, width = image.shape[:2]
+    camera = rig_camera(dataset.info.calibration, (height, width))
+    return replace(
+        settings,
+        model=replace(
+            settings.model,
+            preprocess=replace(preprocess, elevation=replace(preprocess.elevation, camera=camera)),
+        ),
+    )
