@@ -108,4 +108,4 @@ def test_the_papers_box_holds_most_of_a_submap(prepared: Dataset) -> None:
         points = prepared.load(frame).points_body
         inside = (np.abs(points[:, :2]) < (0.4, 0.8)).all(axis=1)
         assert inside.mean() > 0.3
-        assert box.voxel_tensor(points).sum() > 100
+        assert box.lidar_tensor(points).sum() > 100

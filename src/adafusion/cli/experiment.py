@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from adafusion.cli.common import Cache, bar, cache_folder, open_data, say, split_names
-from adafusion.training.corpus import Corpus, with_camera
 
 if TYPE_CHECKING:
     from adafusion.experiments import Job
@@ -78,6 +77,7 @@ def experiment(
     """
     from adafusion import experiments as e
     from adafusion.files import make_folder, write_json, write_text
+    from adafusion.training.corpus import Corpus, with_camera
     from adafusion.types import UserError
 
     if (train is None) != (test is None):
