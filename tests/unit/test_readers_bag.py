@@ -1017,3 +1017,19 @@ def test_two_bags_of_one_name_are_refused(tmp_path: Path) -> None:
         read(tmp_path)
     shutil.rmtree(tmp_path / "a")
     assert [bag.run for bag in find_bags(tmp_path)] == ["drive"]
+
+
+def test_a_chunk_of_zeros_is_no_empty_chunk(tmp_path: Path) -> None:
+    """Records of length zero are skipped without a word, and the bag counts more than it has."""
+    path = simple().write(tmp_path / "drive", "mcap")
+    file = next(path.glob("*.mcap"))
+    whole = file.read_bytes()
+    image = whole.index(bytes([9]) * 20)  # pixels of the image of value 9 and what follows them
+    file.write_bytes(whole[:image] + bytes(4000) + whole[image + 4000 :])
+    with pytest.raises(
+        UserError, match=r"drive counts 11 messages more than can be read: try `ros2"
+    ):
+        write_recording(read(path), tmp_path / "out")
+    written = write_recording(read(path), tmp_path / "kept", skip_bad=True)
+    assert 2 <= len(written.dataset.frames) < 5
+    assert "messages more than can be read" in written.skipped[-1].reason

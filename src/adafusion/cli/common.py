@@ -17,7 +17,7 @@ from adafusion.types import Frame, UserError
 
 if TYPE_CHECKING:
     from adafusion.datasets import Dataset
-    from adafusion.models import PlaceModel
+    from adafusion.models import ModelConfig
 
 T = TypeVar("T")
 
@@ -93,15 +93,15 @@ def named_config(name: str) -> Path:
     return files[name]
 
 
-def check_unit(dataset: Dataset, model: PlaceModel) -> None:
+def check_unit(dataset: Dataset, config: ModelConfig, called: str) -> None:
     """UserError where the clouds are in no metres and the model looks at a box of many metres."""
     unit = str(dataset.info.sensors.get("cloud_unit", "metres"))
-    settings = model.config.preprocess
+    settings = config.preprocess
     box = {"voxels": settings.voxels.upper_m, "points": settings.points.upper_m}
     looks_at_metres = settings.lidar == "elevation" or max(box[settings.lidar]) > 2.0
-    if unit.startswith("normalised") and "lidar" in model.sensors and looks_at_metres:
+    if unit.startswith("normalised") and "lidar" in config.sensors and looks_at_metres:
         raise UserError(
-            f"{dataset.root}: clouds are {unit}, and model {model.name!r} looks at metres: train "
+            f"{dataset.root}: clouds are {unit}, and {called} looks at metres: train "
             "one on such clouds, as the configuration paper-oxford does"
         )
 

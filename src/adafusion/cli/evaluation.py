@@ -97,7 +97,7 @@ def evaluate(
     )
     models = [load_model(name) for name in config.models]
     for loaded in models:
-        check_unit(opened, loaded)
+        check_unit(opened, loaded.config, f"model {loaded.name!r}")
     for name in config.models:
         if trained_on(name, opened):
             say(

@@ -176,7 +176,7 @@ def _locate_frames(
     import numpy as np
 
     dataset = open_data(path)
-    check_unit(dataset, localizer.model)
+    check_unit(dataset, localizer.model.config, f"model {localizer.model.name!r}")
     chosen = choose_frames(dataset, runs, frames)
     world = localizer.place_map.header.world
     same_world = world == dataset.world
@@ -235,7 +235,7 @@ def _describe(dataset: Dataset, model: PlaceModel, runs: str | None, frames: str
     from adafusion.models import describe, frame_batches
     from adafusion.types import UserError, lacking
 
-    check_unit(dataset, model)
+    check_unit(dataset, model.config, f"model {model.name!r}")
     chosen = choose_frames(dataset, runs, frames)
     usable = [frame for frame in chosen if not lacking(frame, model.sensors)]
     if not usable:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from adafusion.cli.common import Cache, bar, cache_folder, named_config, open_data, say
+from adafusion.cli.common import Cache, bar, cache_folder, check_unit, named_config, open_data, say
 
 if TYPE_CHECKING:
     from adafusion.training import Step
@@ -86,16 +86,19 @@ def train(
     folder = cache_folder(cache)
     taught = Corpus(tuple(open_data(path, folder) for path in datasets))
     settings = with_camera(settings, taught.datasets[0])
+    for dataset in taught.datasets:
+        check_unit(dataset, settings.model, "this configuration")
     if asked.exists():
         require_config(asked, settings)
     data = taught.prepare(settings.model.preprocess, folder, bar)
-    rows = taught.rows("train")
+    sensors = settings.model.sensors
+    rows = taught.rows("train", sensors)
     if validation:
         judges = Corpus(tuple(open_data(path, folder) for path in validation))
         named = any(dataset.info.regions for dataset in judges.datasets)
-        judge_rows = judges.rows("validation" if named else None)  # never a test region
+        judge_rows = judges.rows("validation" if named else None, sensors)  # never a test region
     else:
-        judges, judge_rows = taught, taught.rows("validation")
+        judges, judge_rows = taught, taught.rows("validation", sensors)
     judging = data if judges is taught else judges.prepare(settings.model.preprocess, folder, bar)
     say(f"training on {len(rows)} frames, choosing on {len(judge_rows)}")
     card = {

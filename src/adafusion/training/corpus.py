@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -38,19 +38,19 @@ class Corpus:
         """Identity of everything that could teach."""
         return fingerprint(*(dataset.fingerprint for dataset in self.datasets))
 
-    def rows(self, region: str | None) -> Int[np.ndarray, " n"]:
-        """Rows in the region (None: anywhere) with both sensors; UserError where there are none."""
+    def rows(self, region: str | None, sensors: Collection[str] = SENSORS) -> Int[np.ndarray, " n"]:
+        """Rows in the region (None: anywhere) that have the sensors; UserError for none."""
         frames = [frame for dataset in self.datasets for frame in dataset.frames]
-        has_both = np.array([not lacking(frame, SENSORS) for frame in frames])
+        kept = np.array([not lacking(frame, sensors) for frame in frames])
         if region is not None:
             names = [region_of(ds.positions_m[:, :2], ds.info.regions) for ds in self.datasets]
-            has_both &= np.concatenate(names) == region
-        rows = np.flatnonzero(has_both)
+            kept &= np.concatenate(names) == region
+        rows = np.flatnonzero(kept)
         if not len(rows):
             raise UserError(
-                f"{', '.join(str(ds.root) for ds in self.datasets)}: no frame with both sensors in "
-                f"the {region or 'whole'} region: cut it with `adafusion split`, or choose by "
-                "another dataset (--validation)"
+                f"{', '.join(str(ds.root) for ds in self.datasets)}: no frame with "
+                f"{' and '.join(sensors)} in the {region or 'whole'} region: cut it with "
+                "`adafusion split`, or choose by another dataset (--validation)"
             )
         return rows
 

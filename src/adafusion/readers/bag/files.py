@@ -83,7 +83,7 @@ def as_table(topics: Iterable[Topic]) -> str:
 def messages(bag: Bag, topics: Collection[str]) -> Iterator[Message]:
     """Messages of some topics in the order in which they were recorded, one at a time.
 
-    Damaged where the bag is cut: what came before was whole.
+    Damaged where the bag is cut, or counts more messages than it has: what came before was whole.
     """
     for part in bag.parts:
         with _opened(part) as reader:
@@ -91,11 +91,17 @@ def messages(bag: Bag, topics: Collection[str]) -> Iterator[Message]:
             if not wanted:  # the library takes none for all
                 continue
             ros1 = part.suffix == ".bag"
+            left = sum(int(one.msgcount) for one in wanted)
             for connection, received_ns, raw in reader.messages(wanted):
                 if not isinstance(raw, bytes):  # SQLite keeps whatever it was given
                     raise TypeError(f"a message of {connection.topic} is no bytes")
+                left -= 1
                 yield Message(
                     str(part), connection.topic, connection.msgtype, ros1, received_ns, raw
+                )
+            if left > 0:  # a chunk was overwritten, and what is there reads as if it were empty
+                raise Damaged(
+                    f"{part} counts {left} messages more than can be read: {_remedy(part)}"
                 )
 
 

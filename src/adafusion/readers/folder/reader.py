@@ -72,7 +72,7 @@ def read(
     calibration: str | Path | None = None,
     camera: str | None = None,
     lidar: str | None = None,
-    lidar_height_m: float = 0.0,
+    lidar_height_m: float | None = None,
 ) -> Recording:
     """What a plain folder holds; see above for how it is laid out.
 
@@ -85,6 +85,8 @@ def read(
     src = Path(src)
     if not src.is_dir():
         raise UserError(f"{src} is no folder: give the one that holds images, clouds and poses")
+    is_said = lidar_height_m is not None
+    lidar_height_m = lidar_height_m or 0.0
     if not (0 <= slop_ms <= 60_000 and every_m >= 0 and np.isfinite(lidar_height_m)):
         raise UserError("give a slop of 0 to 60,000 ms, a spacing from 0 m on and a finite height")
     folders = find_runs(src, camera, lidar)
@@ -113,7 +115,7 @@ def read(
         timeless |= table.time_us is None
         found = _join(files, table, path, round(slop_ms * 1000), every_m, notes)
         shots += _shots(files, found, known, T_body_lidar)
-    if known.T_body_lidar is None and not lidar_height_m:
+    if known.T_body_lidar is None and not is_said:
         notes.append(
             "clouds are taken to be in the body frame, z = 0 on the ground: give --lidar-height-m "
             "or --calibration where they are the LiDAR's own"
