@@ -1026,9 +1026,7 @@ def test_a_chunk_of_zeros_is_no_empty_chunk(tmp_path: Path) -> None:
     whole = file.read_bytes()
     image = whole.index(bytes([9]) * 20)  # pixels of the image of value 9 and what follows them
     file.write_bytes(whole[:image] + bytes(4000) + whole[image + 4000 :])
-    with pytest.raises(
-        UserError, match=r"counts 11 messages more than can be read: try"
-    ):
+    with pytest.raises(UserError, match=r"counts 11 messages more than can be read: try"):
         write_recording(read(path), tmp_path / "out")
     written = write_recording(read(path), tmp_path / "kept", skip_bad=True)
     assert 2 <= len(written.dataset.frames) < 5
