@@ -95,11 +95,11 @@ def named_config(name: str) -> Path:
 
 def check_unit(dataset: Dataset, config: ModelConfig, called: str) -> None:
     """UserError where the clouds are in no metres and the model looks at a box of many metres."""
-    unit = str(dataset.info.sensors.get("cloud_unit", "metres"))
     settings = config.preprocess
     box = {"voxels": settings.voxels.upper_m, "points": settings.points.upper_m}
     looks_at_metres = settings.lidar == "elevation" or max(box[settings.lidar]) > 2.0
-    if unit.startswith("normalised") and "lidar" in config.sensors and looks_at_metres:
+    if not dataset.info.in_metres and "lidar" in config.sensors and looks_at_metres:
+        unit = dataset.info.sensors["cloud_unit"]
         raise UserError(
             f"{dataset.root}: clouds are {unit}, and {called} looks at metres: train "
             "one on such clouds, as the configuration paper-oxford does"

@@ -87,6 +87,11 @@ class DatasetInfo:
     def __post_init__(self) -> None:
         check_boxes(self.regions)
 
+    @property
+    def in_metres(self) -> bool:
+        """Whether clouds are; those of submaps with a scale of their own say so in `sensors`."""
+        return not str(self.sensors.get("cloud_unit", "")).startswith("normalised")
+
 
 @dataclass(frozen=True, eq=False)
 class Dataset:

@@ -72,7 +72,7 @@ def examine(
     looks = tuple(opened)
     positives = checks_places.positives(table, radius_m)
     same = checks_files.same_files(table, dataset.root)
-    normalised = str(dataset.info.sensors.get("cloud_unit", "")).startswith("normalised")
+    normalised = not dataset.info.in_metres
     clouds = checks_clouds.check_clouds(table, looks, preprocess.voxels, normalised=normalised)
     metric = not normalised and ("cloud scale", "fail") not in [(f.check, f.level) for f in clouds]
     findings = (
