@@ -95,11 +95,15 @@ def plan_jobs(experiment: Experiment, seeds: Sequence[int], corpus: Corpus, out:
         budget = (training.config.sampling, training.passes)
         if budget not in batches:
             batches[budget] = batches_of(corpus, *budget)
+        count = batches[budget]
+        optimiser = training.config.optimiser
+        rise = min(optimiser.warmup, count // 10)  # a short training has a short rise
         config = replace(
             training.config,
             seed=seed,
-            batches=batches[budget],
-            evaluate_every=-(-batches[budget] // EVALUATIONS),
+            batches=count,
+            evaluate_every=-(-count // EVALUATIONS),
+            optimiser=replace(optimiser, warmup=rise),
             init=tuple(str(source.model) for source in sources),
             schedule="joint",  # the plan is the schedule
         )
