@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass
 from importlib.resources import files
@@ -108,6 +109,25 @@ def from_plain(cls: type[T], values: Mapping[str, Any]) -> T:
 def to_plain(config: Any) -> dict[str, Any]:
     """Give a nest of dataclasses as values that YAML and JSON can hold."""
     return _lists(_CONVERTER.unstructure(asdict(config)))
+
+
+def identity(config: Any) -> str:
+    """Canonical text of a nest of dataclasses, for fingerprints: what differs from the defaults.
+
+    So what was fingerprinted keeps its name when a later version learns a further setting, as long
+    as that setting's default does what was done before.
+    """
+    return json.dumps(_lists(_CONVERTER.unstructure(_changed(config))), sort_keys=True)
+
+
+def _changed(config: Any) -> dict[str, Any]:
+    changed = {}
+    for field in fields(config):
+        value = getattr(config, field.name)
+        default = field.default_factory() if callable(field.default_factory) else field.default
+        if value != default:
+            changed[field.name] = _changed(value) if is_dataclass(value) else value
+    return changed
 
 
 def save_config(config: Any, path: str | Path) -> None:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import pytest
 
-from adafusion.config import load_config, save_config
+from adafusion.config import identity, load_config, save_config
 from adafusion.types import UserError
 
 
@@ -63,6 +63,21 @@ def test_a_mistake_is_named_with_its_file(tmp_path: Path, text: str, message: st
     with pytest.raises(UserError, match=message) as error:
         load_config(Config, path)
     assert "wrong.yaml" in str(error.value)
+
+
+def test_the_identity_is_what_differs_from_the_defaults() -> None:
+    assert identity(Config()) == "{}"
+    changed = Config(grid=Grid(lower=(0.0, 2.0)), init=("a",))
+    assert identity(changed) == '{"grid": {"lower": [0.0, 2.0]}, "init": ["a"]}'
+
+
+def test_a_setting_learnt_later_changes_no_identity() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Later(Config):
+        warmup: int = 0
+
+    assert identity(Later(rate=0.5)) == identity(Config(rate=0.5))
+    assert identity(Later(rate=0.5, warmup=1)) != identity(Config(rate=0.5))
 
 
 def test_a_missing_file_and_a_malformed_override_are_named(tmp_path: Path) -> None:

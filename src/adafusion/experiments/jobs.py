@@ -23,7 +23,7 @@ from typing import Any
 import torch
 from filelock import FileLock
 
-from adafusion.config import to_plain
+from adafusion.config import identity, to_plain
 from adafusion.evaluation import validation_recall
 from adafusion.experiments.budget import batches_of
 from adafusion.experiments.plan import Experiment, Training
@@ -107,10 +107,8 @@ def plan_jobs(experiment: Experiment, seeds: Sequence[int], corpus: Corpus, out:
             init=tuple(str(source.model) for source in sources),
             schedule="joint",  # the plan is the schedule
         )
-        named = to_plain(replace(config, init=tuple(source.key for source in sources)))
-        key = fingerprint(
-            f"training {TRAINING_VERSION}", json.dumps(named, sort_keys=True), corpus.fingerprint
-        )
+        named = replace(config, init=tuple(source.key for source in sources))
+        key = fingerprint(f"training {TRAINING_VERSION}", identity(named), corpus.fingerprint)
         return Job(
             name=f"{training.name}, seed {seed}",
             key=key,

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,7 +13,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
-from adafusion.config import to_plain
+from adafusion.config import identity
 from adafusion.files import fingerprint
 from adafusion.models.backbones import Backbone
 from adafusion.models.config import ModelConfig
@@ -73,7 +72,7 @@ class PlaceModel(nn.Module, ABC):
             for name, tensor in sorted(self.state_dict().items())
             for part in (name, tensor.detach().cpu().contiguous().numpy().tobytes())
         ]
-        return fingerprint(json.dumps(to_plain(self.config), sort_keys=True), *weights)
+        return fingerprint(identity(self.config), *weights)
 
     @property
     def preprocess_fingerprint(self) -> str:

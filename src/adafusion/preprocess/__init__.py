@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -14,7 +13,7 @@ import torch
 from jaxtyping import Float, Float32, Shaped, UInt8
 from torch import Tensor
 
-from adafusion.config import to_plain
+from adafusion.config import identity
 from adafusion.files import fingerprint
 from adafusion.preprocess.elevation import Elevation, RigCamera, elevation_map, lift
 from adafusion.preprocess.ground import Ground, remove_ground
@@ -126,5 +125,4 @@ class Preprocess:
     @property
     def fingerprint(self) -> str:
         """Equal exactly when the settings, and the code's way with them, are equal."""
-        canonical = json.dumps(to_plain(self), sort_keys=True, separators=(",", ":"))
-        return fingerprint(f"preprocess {VERSION}", canonical)
+        return fingerprint(f"preprocess {VERSION}", identity(self))
