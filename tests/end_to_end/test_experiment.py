@@ -96,7 +96,7 @@ def test_the_headline_and_again_and_another_experiment_from_the_same_trainings(
     assert {path: path.stat().st_mtime_ns for path in before} == before
     figure = json.loads((tmp_path / "figure-recall.json").read_text())
     assert (tmp_path / "figure-recall.png").stat().st_size > 10_000
-    assert len(figure["gains"]["VL"]["at"]) == 25
+    assert len(figure["study"]["gains"]["VL"]["at"]) == 25
     again = {row["label"]: row["recall"]["cross-run"]["AR@1"] for row in figure["rows"]}
     assert again == {label: row["recall"]["cross-run"]["AR@1"] for label, row in rows.items()}
     said = type_in("experiment", "headline", *words, "--plan")

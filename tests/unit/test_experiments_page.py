@@ -51,7 +51,7 @@ def results() -> dict[str, Any]:
         "draws": 10,
         "rows": rows,
         "verdicts": [],
-        "gains": {},
+        "study": {},
     }
 
 

@@ -6,13 +6,9 @@ from __future__ import annotations
 
 import pytest
 
+from adafusion.experiments.catalogue import EXPERIMENTS, build_experiment, packaged_recipe
 from adafusion.experiments.judging import pair_kinds
-from adafusion.experiments.plan import (
-    EXPERIMENTS,
-    Experiment,
-    build_experiment,
-    packaged_recipe,
-)
+from adafusion.experiments.plan import Experiment
 from adafusion.types import UserError
 
 BUDGET = 10_001  # that no share divides

@@ -127,11 +127,15 @@ def experiment(
         progress=bar,
     )
     files = [out / f"{name}.json", out / f"{name}.md"]
-    picture = out / f"{name}.png"
-    if asked.figure:
-        e.draw_recall(results, picture)
-        files.append(picture)
-    text = e.page(results, picture.name if asked.figure else "")
+    section: list[str] = []
+    picture = ""
+    if asked.study is not None:
+        section = asked.study.section(results["study"])
+        if asked.study.draw is not None:
+            picture = f"{name}.png"
+            asked.study.draw(results, out / picture)
+            files.append(out / picture)
+    text = e.page(results, section, picture)
     write_json(files[0], results)
     write_text(files[1], text)
     print(text)

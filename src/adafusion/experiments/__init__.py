@@ -2,18 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The comparisons of the paper, each one resumable command: planned, trained, judged, written."""
 
-from adafusion.experiments.figures import draw_recall
-from adafusion.experiments.jobs import Job, all_jobs, plan_jobs, train_jobs
-from adafusion.experiments.judging import ExamData
-from adafusion.experiments.page import page
-from adafusion.experiments.plan import (
+from adafusion.experiments.catalogue import (
     BUDGETS,
     EXPERIMENTS,
     PASSES_A_FRAME,
-    Experiment,
     build_experiment,
     packaged_recipe,
 )
+from adafusion.experiments.jobs import Job, all_jobs, plan_jobs, train_jobs
+from adafusion.experiments.judging import ExamData
+from adafusion.experiments.page import page
+from adafusion.experiments.plan import Experiment
 from adafusion.experiments.results import measure
 
 __all__ = [
@@ -25,7 +24,6 @@ __all__ = [
     "Job",
     "all_jobs",
     "build_experiment",
-    "draw_recall",
     "measure",
     "packaged_recipe",
     "page",

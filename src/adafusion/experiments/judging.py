@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Int64, Shaped
+from jaxtyping import Bool, Int64, Shaped
 
 from adafusion.config import to_plain
 from adafusion.datasets import Dataset
@@ -38,6 +38,7 @@ from adafusion.types import SENSORS, Descriptions, Progress, Split, UserError, l
 EVALUATION_VERSION = 1  # raise it when equal models and data come to give other answers
 INTERVAL_SEED = 0
 BATCH = 32
+KS = range(1, 26)  # numbers of candidates looked at
 
 # what tells pairs of runs apart, by words in the runs' names
 CONDITIONS = ("night", "dusk", "rain", "snow", "fog")
@@ -162,6 +163,14 @@ def answers(records: Sequence[Mapping[str, Any]]) -> Answers:
             first_hit.append(ranks)
             one_percent.append(np.full(len(ranks), split["one_percent"], np.int64))
     return Answers(np.concatenate(first_hit), np.concatenate(one_percent))
+
+
+def answerable_of(
+    seeds: Sequence[Answers], questions: Questions
+) -> tuple[Asked, Bool[np.ndarray, " q"]]:
+    """The queries that have a true match, and their mask: the same for every model."""
+    answerable = seeds[0].first_hit > 0
+    return questions.asked.where(answerable), answerable
 
 
 def _describe(model: PlaceModel, dataset: Dataset, cache: Path, progress: Progress) -> Descriptions:

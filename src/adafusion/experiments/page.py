@@ -19,8 +19,8 @@ def ranking(rows: Sequence[Mapping[str, Any]], protocol: str) -> list[Mapping[st
     return [*done, *(row for row in rows if not row["converged"])]
 
 
-def page(results: Mapping[str, Any], picture: str = "") -> str:
-    """Write the page; `picture` is the name of a file beside it."""
+def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str = "") -> str:
+    """Write the page; `section` is what a study says, `picture` the name of a file beside it."""
     seeds = results["seeds"]
     exploratory = " Exploratory: one seed." if len(seeds) == 1 else ""
     data = results["test_data"]
@@ -65,10 +65,10 @@ def page(results: Mapping[str, Any], picture: str = "") -> str:
         *_apart(results["rows"]),
         *_alpha(results["rows"]),
         *_verdicts(results),
-        *_gains(results),
+        *section,
     ]
     if picture:
-        lines += ["", f"![Recall over the number of candidates]({picture})"]
+        lines += ["", f"![{results['words']}]({picture})"]
     return "\n".join(lines) + "\n"
 
 
@@ -99,7 +99,7 @@ def _table(results: Mapping[str, Any]) -> list[str]:
             " / ".join(f"{passes[s]:,}" if s in passes else "-" for s in ("image", "lidar"))
         )
         for p, m in measured:
-            cell = _estimate(row["recall"][p][m]).in_percent()
+            cell = in_percent(row["recall"][p][m])
             is_best = row["converged"] and row["recall"][p][m]["value"] == best[p, m]
             cells.append(f"**{cell}**" if is_best else cell)
         cells.append(", ".join(f"{100 * value:.1f}" for value in row["recall@1_by_seed"]))
@@ -149,44 +149,32 @@ def _verdicts(results: Mapping[str, Any]) -> list[str]:
     if not verdicts:
         return []
     protocol = next(iter(results["protocols"]))
-    others = list(dict.fromkeys(v["against"] for v in verdicts))
-    said = {(v["group"], v["against"]): v for v in verdicts}
-    judged = verdicts[0]["row"]
     lines = [
         "",
-        f"## {judged} against the others",
+        "## Verdicts",
         "",
         f"Difference of recall@1 in points under {protocol}, paired by place and by seed, with the "
         "interval that the verdict rests on: above or below where it leaves 0 out, else undecided. "
-        "The first line answers the question; each of the others errs in one case of twenty.",
-        "",
-        "| queries | number | " + " | ".join(f"minus {other}" for other in others) + " |",
-        "|---|---" + "|---" * len(others) + "|",
+        "The first line of a table answers the question; each of the others errs in one case of "
+        "twenty.",
     ]
-    for group in dict.fromkeys(v["group"] for v in verdicts):
-        row = [said[group, other] for other in others]
-        cells = [f"{_estimate(v['difference']).in_percent('+')} {v['verdict']}" for v in row]
-        lines.append(f"| {group} | {row[0]['queries']} | " + " | ".join(cells) + " |")
+    for judged in dict.fromkeys(v["row"] for v in verdicts):
+        said = {(v["group"], v["against"]): v for v in verdicts if v["row"] == judged}
+        others = list(dict.fromkeys(other for _, other in said))
+        lines += [
+            "",
+            f"| {judged} | queries | " + " | ".join(f"minus {other}" for other in others) + " |",
+            "|---|---" + "|---" * len(others) + "|",
+        ]
+        for group in dict.fromkeys(group for group, _ in said):
+            row = [said[group, other] for other in others]
+            cells = [f"{in_percent(v['difference'], '+')} {v['verdict']}" for v in row]
+            lines.append(f"| {group} | {row[0]['queries']} | " + " | ".join(cells) + " |")
     return lines
 
 
-def _gains(results: Mapping[str, Any]) -> list[str]:
-    if not results["gains"]:
-        return []
-    lines = ["", "## Is the gain larger at small N?", ""]
-    shown = ("AR@1", "AR@5", "AR@10", "AR@25")
-    lines += [
-        "| gain over | " + " | ".join(shown) + " | gain at 1 minus gain at 25 |",
-        "|---" * (len(shown) + 2) + "|",
-    ]
-    for other, gain in results["gains"].items():
-        cells = [_estimate(gain["at"][name]).in_percent("+") for name in shown]
-        more = gain["first_minus_last"]
-        cells.append(f"{_estimate(more['difference']).in_percent('+')} {more['verdict']}")
-        lines.append(f"| {other} | " + " | ".join(cells) + " |")
-    return lines
-
-
-def _estimate(value: Mapping[str, Any]) -> Estimate:
-    interval = value["interval"]
-    return Estimate(value["value"], None if interval is None else (interval[0], interval[1]))
+def in_percent(estimate: Mapping[str, Any], sign: str = "") -> str:
+    """An estimate of the results as text, with its interval where it has one."""
+    interval = estimate["interval"]
+    known = None if interval is None else (interval[0], interval[1])
+    return Estimate(estimate["value"], known).in_percent(sign)

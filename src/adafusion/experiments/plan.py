@@ -1,33 +1,22 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is compared with what: experiments as data.
+"""What an experiment is, as data: rows of trainings, judged under protocols.
 
-Every row may learn from the same number of frame passes through each sensor's network. On two
-cores the branches are trained once a seed, and what fuses them starts from there, so a row is a
-chain of trainings; a one-sensor row goes on alone for the passes that the others spend together.
-Then nothing but the fusion tells VL from V and L, and nothing but the weights AdaFusion from VL.
+Every row may learn from the same number of frame passes through each sensor's network; a row is a
+chain of trainings, where one may start from the branches of others. `catalogue.py` holds them all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-from adafusion.config import configs_folder, load_config
-from adafusion.models.config import System
 from adafusion.training import TrainConfig
 from adafusion.types import UserError
 
-# Frame passes through each sensor's network of every row. On world-v1-small, 10 for each of its
-# 1,200 training frames: what three seeds of the headline learn from in an hour on two cores. It is
-# less than the branches can use (the shipped LiDAR branch levelled off after 22,000, the image
-# branch took 100,000), so a row that still rises is marked and never ranked. world-v1 is for a GPU:
-# 80 for each of its 4,800 training frames. world-v1-tiny is for tests.
-BUDGETS = {"world-v1-tiny": 512, "world-v1-small": 12_000, "world-v1": 400_000}
-PASSES_A_FRAME = 40  # on any other data
-
-TOGETHER = 0.1  # share of a staged row's passes after its branches were joined
-COARSE = 0.8  # share of the image branch's own passes at a quarter of the pixels (docs/adr/0004)
+if TYPE_CHECKING:
+    from adafusion.experiments.study import Study
 
 Recipe = Callable[[str], TrainConfig]  # from the name of a file in configs/
 
@@ -75,8 +64,8 @@ class Experiment:
     rows: tuple[Row, ...]
     protocols: tuple[str, ...]
     seeds: tuple[int, ...]
-    judged: str = ""  # label of the row that verdicts are about; "": none
-    figure: bool = False  # recall over N, and the judged row's gain over N
+    verdicts: tuple[tuple[str, str], ...] = ()  # labels: does the first do better than the second?
+    study: Study | None = None  # what is looked at beside the table
 
     def only(self, labels: list[str]) -> Experiment:
         """The same experiment with some of its rows; UserError for a label that is none."""
@@ -87,116 +76,6 @@ class Experiment:
                 f"{self.name} has no row {', '.join(sorted(wanted - known)) or 'without a label'}: "
                 "choose from " + ", ".join(row.label for row in self.rows)
             )
-        return replace(self, rows=tuple(row for row in self.rows if row.label.lower() in wanted))
-
-
-ALL_PROTOCOLS = ("cross-run", "union", "pointnetvlad")
-
-
-def headline(recipe: Recipe, passes: int) -> Experiment:
-    """V, L, VL and AdaFusion from the same branches."""
-    return Experiment(
-        name="headline",
-        words="Each branch alone, both joined, and both weighed: does weighing gain?",
-        rows=_staged_rows(recipe, passes),
-        protocols=ALL_PROTOCOLS,
-        seeds=(0, 1, 2),
-        judged="AdaFusion",
-    )
-
-
-def figure_recall(recipe: Recipe, passes: int) -> Experiment:
-    """The headline's rows over the number of candidates."""
-    return Experiment(
-        name="figure-recall",
-        words="Recall@N for N = 1 to 25: is the gain of weighing larger at small N?",
-        rows=_staged_rows(recipe, passes),
-        protocols=("cross-run",),
-        seeds=(0, 1, 2),
-        judged="AdaFusion",
-        figure=True,
-    )
-
-
-def table_systems(recipe: Recipe, passes: int) -> Experiment:
-    """All systems of the paper's comparison at their small sizes."""
-
-    def row(label: str, system: System, *numbers: float | None, guess: bool = False) -> Row:
-        training = Training(name=system, config=recipe(f"{system}-s"), passes=passes)
-        return Row(
-            label=label, training=training, published=Published(at_1=numbers[0],
-            at_1_percent=numbers[1]), reconstruction=guess,
-        )  # fmt: skip
-
-    _, _, concat, adafusion = _staged_rows(recipe, passes)
-    rows = (
-        row("NetVLAD", "netvlad", 51.52, 63.19),
-        row("PointNetVLAD", "pointnetvlad", 63.87, 81.29),
-        row("Oertel et al.", "oertel", 98.00, None, guess=True),
-        row("PIC-Net", "pic-net", None, 98.22, guess=True),
-        row("MinkLoc++", "minkloc", 96.70, 99.10),
-        row("CORAL", "coral", 88.93, 96.13),
-        replace(concat, label="VL-concat"),
-        adafusion,
-    )
-    return Experiment(
-        name="table-systems",
-        words="Every system of the paper's comparison under the same protocols: a small size of "
-        "each, all trained from scratch, each with its own input, loss, mining and optimiser.",
-        rows=rows,
-        protocols=ALL_PROTOCOLS,
-        seeds=(0,),
-    )
-
-
-EXPERIMENTS: dict[str, Callable[[Recipe, int], Experiment]] = {
-    "headline": headline,
-    "table-systems": table_systems,
-    "figure-recall": figure_recall,
-}
-
-
-def build_experiment(name: str, recipe: Recipe, passes: int) -> Experiment:
-    """Look an experiment up; a name that is none raises UserError with the choices."""
-    if name not in EXPERIMENTS:
-        raise UserError(f"unknown experiment {name!r}: choose from {', '.join(EXPERIMENTS)}")
-    return EXPERIMENTS[name](recipe, passes)
-
-
-def packaged_recipe(name: str, changes: tuple[str, ...] = ()) -> TrainConfig:
-    """Read a training that comes with the package, with keys changed as `train --set` does."""
-    return load_config(TrainConfig, configs_folder() / f"{name}.yaml", changes)
-
-
-def _staged_rows(recipe: Recipe, passes: int) -> tuple[Row, Row, Row, Row]:
-    """V, L, VL and AdaFusion, all from one image branch and one LiDAR branch."""
-    together = round(TOGETHER * passes)
-    coarse = round(COARSE * (passes - together))
-    image = Training(
-        name="image",
-        config=recipe("image-s"),
-        passes=passes - together - coarse,
-        starts_from=(
-            Training(name="image-coarse", config=recipe("image-s-coarse"), passes=coarse),
-        ),
-    )
-    lidar = Training(name="lidar", config=recipe("lidar-s"), passes=passes - together)
-
-    def last(system: System, config: TrainConfig, *branches: Training) -> Training:
-        return Training(name=f"{system}-last", config=config, passes=together, starts_from=branches)
-
-    def alone(system: System, branch: Training) -> Training:
-        config = recipe("adafusion-s")
-        model = replace(config.model, system=system)
-        return last(system, replace(config, model=model, balance=False), branch)
-
-    return (
-        Row(label="V", training=alone("image", image), published=Published(at_1=87.68,
-            at_1_percent=None)),
-        Row(label="L", training=alone("lidar", lidar), published=Published(at_1=93.12,
-            at_1_percent=None)),
-        Row(label="VL", training=last("concat", recipe("concat-s"), image, lidar),
-            published=Published(at_1=97.10, at_1_percent=None)),
-        Row(label="AdaFusion", training=last("adafusion", recipe("adafusion-s"), image, lidar),
-            published=Published(at_1=98.18, at_1_percent=99.21)),
-    )  # fmt: skip
+        rows = tuple(row for row in self.rows if row.label.lower() in wanted)
+        pairs = tuple(pair for pair in self.verdicts if {p.lower() for p in pair} <= wanted)
+        return replace(self, rows=rows, verdicts=pairs)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,21 +19,23 @@ from adafusion.experiments.budget import validation_answers
 from adafusion.experiments.convergence import half_width, still_rising
 from adafusion.experiments.jobs import Job, Rows, all_jobs, passes_of, row_curve
 from adafusion.experiments.judging import (
+    KS,
     Answers,
     ExamData,
     Questions,
+    answerable_of,
     answers,
     ask,
     evaluate_model,
 )
 from adafusion.experiments.plan import Experiment, Row
-from adafusion.experiments.verdict import DRAWS, Asked, Verdict, estimate, judge_difference
+from adafusion.experiments.study import Trained
+from adafusion.experiments.verdict import DRAWS, estimate, judge_difference, plain_verdict
 from adafusion.provenance import git_commit, software_versions
 from adafusion.training.corpus import Corpus
 from adafusion.types import Estimate, Progress, silent
 
 SCHEMA = 1
-KS = range(1, 26)
 TABLE = ("AR@1", "AR@5", "AR@1%")
 
 Values = Callable[[Answers], np.ndarray]
@@ -90,8 +92,19 @@ def measure(
                 "recall@1_by_seed": by_seed,
             }
         )
-    converged = {row["label"] for row in table if row["converged"]}
-    first_questions = questions[protocols[0]]
+    trained = Trained(
+        experiment=experiment,
+        rows=rows,
+        seeds=tuple(seeds),
+        corpus=corpus,
+        exams=tuple(exams),
+        questions=questions[protocols[0]],
+        said=said,
+        converged=frozenset(row["label"] for row in table if row["converged"]),
+        cache=cache,
+        out=out,
+        progress=progress,
+    )
     return {
         "schema": SCHEMA,
         "experiment": experiment.name,
@@ -113,8 +126,8 @@ def measure(
         "protocols": {protocol: describe_protocol(protocol) for protocol in protocols},
         "draws": DRAWS,
         "rows": table,
-        "verdicts": _verdicts(experiment.judged, said, first_questions, converged),
-        "gains": _gains(experiment, said, first_questions, converged),
+        "verdicts": _verdicts(trained),
+        "study": {} if experiment.study is None else experiment.study.measure(trained),
     }
 
 
@@ -129,17 +142,12 @@ def _within(n: int | None) -> Values:
 
 
 def _recall(seeds: Sequence[Answers], questions: Questions, values: Values) -> Estimate:
-    asked, answerable = _answerable(seeds, questions)
+    asked, answerable = answerable_of(seeds, questions)
     found = estimate(np.stack([values(one)[answerable] for one in seeds]), asked)
     if found.interval is None:
         return found
     low, high = found.interval  # widened ones may leave what a recall can be
     return Estimate(found.value, (max(low, 0.0), min(high, 1.0)))
-
-
-def _answerable(seeds: Sequence[Answers], questions: Questions) -> tuple[Asked, np.ndarray]:
-    answerable = seeds[0].first_hit > 0
-    return questions.asked.where(answerable), answerable
 
 
 def _row(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
@@ -161,67 +169,22 @@ def _row(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
     }
 
 
-def _verdicts(
-    judged: str,
-    said: Mapping[str, tuple[Answers, ...]],
-    questions: Questions,
-    converged: set[str],
-) -> list[dict[str, Any]]:
-    """The judged row against every other: over all pairs of runs, by kind of pair, by zone."""
-    if judged not in said:
-        return []
-    asked, answerable = _answerable(said[judged], questions)
-    right = {label: np.stack([one.hits(1)[answerable] for one in s]) for label, s in said.items()}
+def _verdicts(trained: Trained) -> list[dict[str, Any]]:
+    """Rows set against each other: over all pairs of runs, by kind of pair, by zone."""
     verdicts = []
-    for other in (label for label in said if label != judged):
-        for group, mask in questions.groups().items():
+    for ours, theirs in trained.experiment.verdicts:
+        asked, answerable = answerable_of(trained.said[ours], trained.questions)
+        right = {
+            label: np.stack([one.hits(1)[answerable] for one in trained.said[label]])
+            for label in (ours, theirs)
+        }
+        for group, mask in trained.questions.groups().items():
             chosen = mask[answerable]
             if not chosen.any():
                 continue
             verdict = judge_difference(
-                right[judged][:, chosen], right[other][:, chosen], asked.where(chosen)
+                right[ours][:, chosen], right[theirs][:, chosen], asked.where(chosen)
             )
-            ranked = {judged, other} <= converged
-            verdicts.append(
-                {"row": judged, "against": other, "group": group, **_plain(verdict, ranked)}
-            )
+            said = plain_verdict(verdict, ranked={ours, theirs} <= trained.converged)
+            verdicts.append({"row": ours, "against": theirs, "group": group, **said})
     return verdicts
-
-
-def _plain(verdict: Verdict, ranked: bool) -> dict[str, Any]:
-    return {
-        "verdict": verdict.word if ranked else "not ranked",
-        "difference": asdict(verdict.difference),
-        "by_seed": list(verdict.by_seed),
-        "queries": verdict.num_queries,
-    }
-
-
-def _gains(
-    experiment: Experiment,
-    said: Mapping[str, tuple[Answers, ...]],
-    questions: Questions,
-    converged: set[str],
-) -> dict[str, Any]:
-    """What the judged row gains at every N, and by how much more at N = 1 than at the largest."""
-    judged = experiment.judged
-    if judged not in said or not experiment.figure:
-        return {}
-    asked, answerable = _answerable(said[judged], questions)
-    gains = {}
-    for other in (label for label in said if label != judged):
-        gain = {
-            n: np.stack(
-                [
-                    (a.hits(n) - b.hits(n))[answerable]
-                    for a, b in zip(said[judged], said[other], strict=True)
-                ]
-            )
-            for n in KS
-        }
-        more = judge_difference(gain[1], gain[max(KS)], asked)
-        gains[other] = {
-            "at": {f"AR@{n}": asdict(estimate(values, asked)) for n, values in gain.items()},
-            "first_minus_last": _plain(more, {judged, other} <= converged),
-        }
-    return gains

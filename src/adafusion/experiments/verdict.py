@@ -25,8 +25,8 @@ few seeds decide little. With one seed the interval speaks of other places alone
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int, Int64
@@ -102,6 +102,16 @@ def judge_difference(
         word = "above" if low > 0 else "below" if high < 0 else "undecided"
     by_seed = _recalls(gain, asked, seed, 0)[0]
     return Verdict(word, difference, tuple(by_seed.tolist()), gain.shape[1])
+
+
+def plain_verdict(verdict: Verdict, *, ranked: bool) -> dict[str, Any]:
+    """The verdict as values that JSON can hold; rows that had not converged get no word."""
+    return {
+        "verdict": verdict.word if ranked else "not ranked",
+        "difference": asdict(verdict.difference),
+        "by_seed": list(verdict.by_seed),
+        "queries": verdict.num_queries,
+    }
 
 
 def widening(num_seeds: int) -> float:
