@@ -17,6 +17,7 @@ import yaml
 from adafusion.datasets import Dataset
 from adafusion.evaluation import dataset_splits, evaluate_splits
 from adafusion.experiments import (
+    EXPERIMENTS,
     ExamData,
     Job,
     all_jobs,
@@ -103,6 +104,13 @@ def test_the_headline_and_again_and_another_experiment_from_the_same_trainings(
     assert "0 of 12 trainings to do: 0 of " in said.out
 
 
+def test_the_list_tells_every_experiment_with_its_rows(type_in) -> None:
+    said = type_in("experiment", "list")
+    assert said.code == 0, said.err
+    assert all(f"\n{name}  (seeds" in f"\n{said.out}" for name in EXPERIMENTS)
+    assert "rows: V; L; VL; AdaFusion" in said.out
+
+
 @pytest.mark.parametrize("where", ["a named world", "own data"])
 def test_the_budget_is_the_worlds_or_follows_from_the_frames(
     type_in, tiny_world: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
@@ -119,7 +127,7 @@ def test_the_budget_is_the_worlds_or_follows_from_the_frames(
     said = type_in("experiment", "headline", *data, "--out", tmp_path, "--plan", *SMALL)
     assert said.code == 0, said.err
     passes = 512 if named else 40 * len(Corpus((tiny_world,)).rows("train"))
-    assert f"learns from {passes:,} of them" in said.out
+    assert f"budget of {passes:,} frame passes" in said.out
     assert opened == ["world-v1-tiny/train" if named else "mine"]
 
 
@@ -218,7 +226,7 @@ def test_frames_without_a_sensor_are_left_out_for_all_rows(
 @pytest.mark.parametrize(
     ("words", "remedy"),
     [
-        (["nothing"], "headline, table-systems, figure-recall"),
+        (["nothing"], "choose from headline, table-systems"),
         (["headline", "--rows", "W"], "choose from V, L, VL, AdaFusion"),
         (["headline", "--seeds", "a"], "whole numbers"),
         (["headline", "--seeds", "-1"], "none below 0"),

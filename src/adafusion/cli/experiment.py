@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
@@ -21,11 +22,12 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+LIST = "list"  # in place of a name
 LINE_EVERY_S = 60.0
 
 
 def experiment(
-    name: Annotated[str, typer.Argument(help="headline, table-systems or figure-recall.")],
+    name: Annotated[str, typer.Argument(help="Which comparison; `list` tells them all.")],
     out: Annotated[
         Path, typer.Option(help="Folder for results; experiments that share it share trainings.")
     ] = Path("runs/experiments"),
@@ -70,6 +72,7 @@ def experiment(
     same command goes on where it was.
 
     \b
+    Example: adafusion experiment list
     Example: adafusion experiment headline --plan
     Example: adafusion experiment headline --workers 2
     Example: adafusion experiment table-systems --rows NetVLAD,AdaFusion --budget 20000
@@ -80,6 +83,9 @@ def experiment(
     from adafusion.training.corpus import Corpus, with_camera
     from adafusion.types import UserError
 
+    if name == LIST:
+        print(_catalogue())
+        return
     if (train is None) != (test is None):
         raise UserError("give both --train and --test, or a --world that has both parts")
     teaches = train or [Path(world) / "train"]
@@ -164,6 +170,22 @@ def _numbers(text: str) -> tuple[int, ...]:
     return numbers
 
 
+def _catalogue() -> str:
+    """Every experiment with what it asks and its rows."""
+    from adafusion.experiments import EXPERIMENTS, build_experiment, packaged_recipe
+
+    lines = []
+    for name in EXPERIMENTS:
+        one = build_experiment(name, packaged_recipe, 1)
+        lines += [
+            f"{name}  (seeds {', '.join(map(str, one.seeds))})",
+            *wrap(one.words, 96, initial_indent="    ", subsequent_indent="    "),
+            *wrap("rows: " + "; ".join(row.label for row in one.rows), 96,
+                  initial_indent="    ", subsequent_indent="      "),
+        ]  # fmt: skip
+    return "\n".join(lines)
+
+
 def _plan(jobs: Sequence[Job], budget: int) -> str:
     """What would be trained, what is done, and what it costs."""
     wide = max(len(job.name) for job in jobs)
@@ -178,6 +200,6 @@ def _plan(jobs: Sequence[Job], budget: int) -> str:
             *shown,
             f"{len(left)} of {len(jobs)} trainings to do: "
             f"{sum(job.passes for job in left):,} of {sum(job.passes for job in jobs):,} frame "
-            f"passes; each sensor's network of every row learns from {budget:,} of them a seed",
+            f"passes, from a budget of {budget:,} frame passes a row and seed",
         ]
     )

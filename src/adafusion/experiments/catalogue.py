@@ -11,11 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from adafusion.config import configs_folder, load_config
 from adafusion.experiments.plan import Experiment, Published, Recipe, Row, Training
+from adafusion.experiments.studies.cost import COST
 from adafusion.experiments.studies.recall import RECALL
 from adafusion.models.config import System
+from adafusion.preprocess.voxels import Occupancy
 from adafusion.training import TrainConfig
 from adafusion.types import UserError
 
@@ -124,10 +127,116 @@ def _staged_rows(recipe: Recipe, passes: int) -> tuple[Row, Row, Row, Row]:
     )  # fmt: skip
 
 
+# the paper's Table III, AR@1 on Oxford RobotCar in percent
+PUBLISHED_BY_DIM = {
+    "V": {128: 83.57, 192: 86.87, 256: 87.68, 512: 88.91},
+    "L": {128: 89.47, 192: 91.45, 256: 93.12, 512: 93.27},
+    "VL": {128: 96.35, 192: 96.59, 256: 97.10, 512: 97.32},
+    "AdaFusion": {128: 97.42, 192: 97.72, 256: 98.18, 512: 98.24},
+}
+
+
+def table_dimensions(recipe: Recipe, passes: int) -> Experiment:
+    """What weighing gains at two lengths of the descriptor."""
+    return _by_dimension("table-dimensions", recipe, passes, (128, 256), ("VL", "AdaFusion"))
+
+
+def table_dimensions_full(recipe: Recipe, passes: int) -> Experiment:
+    """The paper's Table III whole, for a GPU."""
+    lengths = tuple(PUBLISHED_BY_DIM["V"])
+    return _by_dimension("table-dimensions-full", recipe, passes, lengths, tuple(PUBLISHED_BY_DIM))
+
+
+def _by_dimension(
+    name: str, recipe: Recipe, passes: int, lengths: tuple[int, ...], systems: tuple[str, ...]
+) -> Experiment:
+    def of_length(dim: int) -> Recipe:
+        def changed(training: str) -> TrainConfig:
+            config = recipe(training)
+            return replace(config, model=replace(config.model, dim=dim))
+
+        return changed
+
+    rows = tuple(
+        replace(
+            row,
+            label=f"{row.label} D-{dim}",
+            published=Published(at_1=PUBLISHED_BY_DIM[row.label][dim], at_1_percent=None),
+        )
+        for dim in lengths
+        for row in _staged_rows(of_length(dim), passes)
+        if row.label in systems
+    )
+    return Experiment(
+        name=name,
+        words="What does weighing gain at each length of the descriptor, and what does it cost?",
+        rows=rows,
+        protocols=("cross-run",),
+        seeds=(0, 1, 2),
+        verdicts=tuple((f"AdaFusion D-{dim}", f"VL D-{dim}") for dim in lengths),
+        study=COST,
+    )
+
+
+def ablation_input(recipe: Recipe, passes: int) -> Experiment:
+    """What the branches are given, and what steadies them: each one alone.
+
+    L learns as long as in the headline before the branches are joined, V as long as there at a
+    quarter of the pixels, so that the first row of each is the headline's own training.
+    """
+    alone = passes - round(TOGETHER * passes)
+    lidar, image = recipe("lidar-s"), recipe("image-s-coarse")
+
+    def row(label: str, of: TrainConfig, **changes: Any) -> Row:
+        name, share = ("lidar", 1.0) if of is lidar else ("image-coarse", COARSE)
+        return Row(
+            label=label,
+            training=Training(
+                name=name, config=replace(of, **changes), passes=round(share * alone)
+            ),
+        )
+
+    def holding(occupancy: Occupancy) -> Row:
+        model, preprocess = lidar.model, lidar.model.preprocess
+        voxels = replace(preprocess.voxels, occupancy=occupancy)
+        model = replace(model, preprocess=replace(preprocess, voxels=voxels))
+        return row(f"L {occupancy}", lidar, model=model)
+
+    def without_norm(label: str, of: TrainConfig) -> Row:
+        return row(label, of, norms=False, model=replace(of.model, last_norm=False))
+
+    rows = (
+        row("L", lidar),
+        holding("count"),
+        holding("soft"),
+        holding("tdf"),
+        row("L last norm alone", lidar, norms=False),
+        without_norm("L no norm", lidar),
+        row("L points jittered", lidar, augment=replace(lidar.augment, jitter_m=0.02)),
+        row("V", image),
+        row("V last norm alone", image, norms=False),
+        without_norm("V no norm", image),
+        row("V no colour jitter", image, augment=replace(image.augment, color=0.0)),
+    )
+    return Experiment(
+        name="ablation-input",
+        words="One branch alone: what a cell holds (L: binary), batch norm (L and V: after every "
+        "convolution while training; the paper: the last alone) and augmentation. V sees a quarter "
+        "of the pixels.",
+        rows=rows,
+        protocols=("cross-run",),
+        seeds=(0, 1, 2),
+        verdicts=tuple((row.label, row.label[0]) for row in rows if row.label not in ("V", "L")),
+    )
+
+
 EXPERIMENTS: dict[str, Callable[[Recipe, int], Experiment]] = {
     "headline": headline,
     "table-systems": table_systems,
+    "table-dimensions": table_dimensions,
+    "table-dimensions-full": table_dimensions_full,
     "figure-recall": figure_recall,
+    "ablation-input": ablation_input,
 }
 
 

@@ -47,8 +47,8 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         "",
         f"Machine: {software['platform']}, {results['machine']['processors']} processors, "
         f"{results['machine']['device']}; Python {software['python']}, torch {software['torch']}. "
-        f"Seeds {', '.join(map(str, seeds))}. Budget: {results['budget']:,} frame passes through "
-        f"each sensor's network of every row and seed. The trainings took "
+        f"Seeds {', '.join(map(str, seeds))}. From a budget of {results['budget']:,} frame passes; "
+        "what each seed of a row spent stands beside it. The trainings took "
         f"{results['training_seconds'] / 3600:.1f} h, added up.",
         "",
         *_table(results),

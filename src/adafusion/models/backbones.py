@@ -17,6 +17,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
+from adafusion.models.pooling import Clusters, Mean
+
 Conv = nn.Conv2d | nn.Conv3d
 
 
@@ -43,7 +45,7 @@ class Conv3d(nn.Conv3d):
 
 
 class Backbone(nn.Module):
-    """Three blocks of convolutions; the mean over the last one's cells is the feature.
+    """Three blocks of convolutions; `pool` makes the feature of the last one's cells: their mean.
 
     Returns the feature (B, C) and the three stages, shallow to deep, that the weight branch reads.
     The feature is signed and not normalised: batch norm is the last thing before the last pool.
@@ -52,6 +54,7 @@ class Backbone(nn.Module):
     def __init__(self, blocks: Sequence[nn.Sequential]) -> None:
         super().__init__()
         self.blocks = nn.ModuleList(blocks)
+        self.pool: nn.Module = Mean()
 
     @property
     def stage_channels(self) -> tuple[int, ...]:
@@ -63,11 +66,9 @@ class Backbone(nn.Module):
 
     @property
     def last_norm(self) -> nn.BatchNorm2d | nn.BatchNorm3d:
-        """The batch norm before the last pool: its scale is the feature's scale."""
-        block = self.blocks[-1]
-        assert isinstance(block, nn.Sequential)
-        norm = block[-2]
-        assert isinstance(norm, nn.BatchNorm2d | nn.BatchNorm3d)
+        """The batch norm before the last pool, where there is one: it scales the feature."""
+        layers = self.blocks[-1].children()
+        (norm,) = (m for m in layers if isinstance(m, nn.BatchNorm2d | nn.BatchNorm3d))
         return norm
 
     def forward(
@@ -78,15 +79,26 @@ class Backbone(nn.Module):
         for block in self.blocks:
             x = block(x)
             stages.append(x)
-        return x.flatten(2).mean(dim=2), stages
+        return self.pool(x), stages
+
+    @torch.no_grad()
+    def scale(self, factor: float) -> None:
+        """Multiply the feature, by the last norm; behind VLAD, which sees no scale."""
+        if isinstance(self.pool, Clusters):
+            self.pool.projection.weight.mul_(factor)
+        else:
+            self.last_norm.weight.mul_(factor)
+            self.last_norm.bias.mul_(factor)
 
 
-def image_backbone(half: int = 128, width: float = 1.0) -> Backbone:
+def image_backbone(half: int = 128, width: float = 1.0, last_norm: bool = True) -> Backbone:
     """Branch over (B, 3, H, W): stages of /4, /8 and /16 of the image's size.
 
     `half` is the length of the feature and `width` scales every other layer (1.0: the paper's).
+    Without `last_norm` the feature is never negative.
     """
     c1, c2 = _scaled(64, width), _scaled(128, width)
+    norm = [nn.BatchNorm2d(half)] if last_norm else []
     return Backbone(
         [
             nn.Sequential(
@@ -97,20 +109,21 @@ def image_backbone(half: int = 128, width: float = 1.0) -> Backbone:
             ),
             nn.Sequential(*_convs(nn.Conv2d, c1, c1, c1, c2, c2), nn.MaxPool2d(2)),
             nn.Sequential(
-                *_convs(nn.Conv2d, c2, c2, c2, half, half), nn.BatchNorm2d(half), nn.MaxPool2d(2)
+                *_convs(nn.Conv2d, c2, c2, c2, half, half), *norm, nn.MaxPool2d(2)
             ),
         ]
     )
 
 
-def voxel_backbone(half: int = 128, width: float = 1.0) -> Backbone:
+def voxel_backbone(half: int = 128, width: float = 1.0, last_norm: bool = True) -> Backbone:
     """Branch over (B, 1, X, Y, Z): stages of 1/2, 1/4 and 1/8 of the grid's size."""
     c1, c2 = _scaled(32, width), _scaled(64, width)
+    norm = [nn.BatchNorm3d(half)] if last_norm else []
     return Backbone(
         [
             nn.Sequential(*_convs(Conv3d, 1, c1, c1), nn.AvgPool3d(2)),
             nn.Sequential(*_convs(Conv3d, c1, c2, c2, c2, c2), nn.AvgPool3d(2)),
-            nn.Sequential(*_convs(Conv3d, c2, half, half), nn.BatchNorm3d(half), nn.AvgPool3d(2)),
+            nn.Sequential(*_convs(Conv3d, c2, half, half), *norm, nn.AvgPool3d(2)),
         ]
     )
 
@@ -146,10 +159,13 @@ def initialise_he(module: nn.Module, generator: torch.Generator) -> None:
 def add_norms(backbone: Backbone) -> None:
     """Put a batch norm between every convolution and its ReLU, for training only.
 
-    `fold_norms` takes them out again without changing what the trained network computes.
+    `fold_norms` takes them out again without changing what the trained network computes. A
+    convolution without a bias has a norm of its own behind it, and gets none.
     """
     for block in backbone.blocks:
         for name, layer in list(block.named_children()):
+            if isinstance(layer, Conv) and layer.bias is None:
+                continue
             if isinstance(layer, nn.Conv2d):
                 setattr(block, name, nn.Sequential(layer, nn.BatchNorm2d(layer.out_channels)))
             elif isinstance(layer, nn.Conv3d):

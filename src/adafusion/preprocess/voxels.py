@@ -7,12 +7,14 @@ from __future__ import annotations
 import math
 import operator
 from dataclasses import dataclass
-from typing import Literal, no_type_check
+from typing import Literal, get_args, no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 from scipy import ndimage
+
+Occupancy = Literal["binary", "count", "soft", "tdf"]
 
 FULL_COUNT = 15  # points in a cell from which `count` is 1
 
@@ -43,7 +45,7 @@ class VoxelGrid:
     upper_m: tuple[float, float, float] = (20.0, 20.0, 5.0)
     shape: tuple[int, int, int] = (72, 72, 48)
     index: Literal["floor", "round"] = "floor"
-    occupancy: Literal["binary", "count", "soft", "tdf"] = "binary"
+    occupancy: Occupancy = "binary"
 
     def __post_init__(self) -> None:
         # equal grids must be equal as text too, for fingerprints: 20 is 20.0 and -0.0 is 0.0
@@ -61,7 +63,7 @@ class VoxelGrid:
             raise ValueError(f"grid shape {self.shape} must be positive numbers of cells")
         if self.index not in ("floor", "round"):
             raise ValueError(f"unknown voxel index {self.index!r}; choose floor or round")
-        if self.occupancy not in ("binary", "count", "soft", "tdf"):
+        if self.occupancy not in get_args(Occupancy):
             raise ValueError(
                 f"unknown occupancy {self.occupancy!r}; choose binary, count, soft or tdf"
             )

@@ -13,9 +13,9 @@ import numpy as np
 
 from adafusion.experiments.judging import KS, answerable_of
 from adafusion.experiments.page import NOT_RANKED, in_percent
+from adafusion.experiments.picture import picture
 from adafusion.experiments.study import Study, Trained
 from adafusion.experiments.verdict import estimate, judge_difference, plain_verdict
-from adafusion.files import atomic_path
 from adafusion.report import plots
 
 
@@ -52,19 +52,10 @@ def gains_section(study: Mapping[str, Any]) -> list[str]:
 
 def draw_recall(results: Mapping[str, Any], path: Path) -> None:
     """Write the figure: AR@N of every row, and beside it the judged row's gain with intervals."""
-    try:
-        from matplotlib.figure import Figure
-        from matplotlib.style import context
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "charts need matplotlib: pip install 'adafusion[report]'"
-        ) from error
-
     protocol = next(iter(results["protocols"]))
     colors = plots.system_colors(row["system"] for row in results["rows"])
     color_of = {row["label"]: colors[row["system"]] for row in results["rows"]}
-    with context(["default", plots.STYLE]):
-        figure = Figure((plots.WIDE, 3.7), layout="constrained")
+    with picture(path, results, 3.7) as figure:
         recall, gain = figure.subplots(1, 2)
         for row in results["rows"]:
             measures = row["recall"][protocol]
@@ -78,10 +69,6 @@ def draw_recall(results: Mapping[str, Any], path: Path) -> None:
         for axes in (recall, gain):
             axes.set_xlabel("N, number of candidates looked at")
             axes.legend()
-        if any(data["synthetic"] for data in results["test_data"]):
-            figure.suptitle("SYNTHETIC data")
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary, dpi=150, facecolor="white")
 
 
 def _curve(axes: Any, measures: Mapping[str, Any], color: str, label: str) -> None:

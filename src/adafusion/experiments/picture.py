@@ -1,0 +1,39 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""The frame of every study's picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from adafusion.files import atomic_path
+from adafusion.report import plots
+from adafusion.report.plots import Figure
+
+
+@contextmanager
+def picture(
+    path: Path, results: Mapping[str, Any], height: float, width: float = plots.WIDE
+) -> Iterator[Figure]:
+    """A figure of so many inches to draw on, in the reports' style; written when all went well.
+
+    Says above that the data are synthetic where the results do.
+    """
+    try:
+        from matplotlib.figure import Figure
+        from matplotlib.style import context
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "charts need matplotlib: pip install 'adafusion[report]'"
+        ) from error
+
+    with context(["default", plots.STYLE]):
+        figure = Figure((width, height), layout="constrained")
+        yield figure
+        if any(data["synthetic"] for data in results["test_data"]):
+            figure.suptitle("SYNTHETIC data")
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, dpi=150, facecolor="white")
