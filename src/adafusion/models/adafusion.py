@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -19,9 +22,13 @@ from adafusion.models.backbones import (
 )
 from adafusion.models.base import PlaceModel
 from adafusion.models.config import LEVELS, Attention, ModelConfig
-from adafusion.types import Description
+from adafusion.models.efficientnet import efficientnet_backbone, load_efficientnet
+from adafusion.models.pooling import build_pool
+from adafusion.types import Description, UserError
 
 ATTENTION_WIDTH = 128  # length of a_I and a_P
+
+Seen = tuple[Tensor, list[Tensor]]  # what a branch gives: feature (B, C), stages shallow to deep
 
 
 class AdaFusion(PlaceModel):
@@ -29,15 +36,37 @@ class AdaFusion(PlaceModel):
 
     Nothing is detached: the loss on the fused descriptor reaches every parameter, as the paper
     says and unlike the released code.
+
+    `fusion: weights` is the paper's: the attention of each sensor is joined within it (a kernel-1
+    convolution over its maps), then across both. `one-stage-weights` leaves the first step out: the
+    pooled maps of both sensors go to the weights' layers at once. `linear` has no weights: one
+    linear layer over both features, the identity before it learns. With `attend_features` the
+    attention reaches the descriptor too: projected to its length, it is added to its sensor's
+    feature before the weighing; the projection is zero before it learns.
     """
 
     def __init__(self, config: ModelConfig, name: str = "") -> None:
         super().__init__(config, name)
         half = config.dim // 2
-        self.image_net = image_backbone(half, config.width) if config.system != "lidar" else None
-        self.voxel_net = voxel_backbone(half, config.width) if config.system != "image" else None
+        size = (half, config.width, config.last_norm)
+        self.image_net: Backbone | None = None
+        if config.system != "lidar" and config.image_backbone == "paper":
+            self.image_net = image_backbone(*size)
+        elif config.system != "lidar":
+            self.image_net = efficientnet_backbone(half, config.last_norm)
+        self.voxel_net = voxel_backbone(*size) if config.system != "image" else None
+        for net, cells in zip((self.image_net, self.voxel_net), last_cells(config), strict=True):
+            if net is not None:
+                net.pool = build_pool(config.pooling, half, cells, config.clusters)
         self.weight_net: WeightBranch | None = None
-        if config.system == "adafusion":
+        self.linear: nn.Linear | None = None
+        self.image_add: nn.Linear | None = None
+        self.voxel_add: nn.Linear | None = None
+        if config.system == "adafusion" and config.fusion == "linear":
+            self.linear = nn.Linear(config.dim, config.dim)
+            nn.init.eye_(self.linear.weight)
+            nn.init.zeros_(self.linear.bias)
+        elif config.system == "adafusion":
             assert self.image_net is not None
             assert self.voxel_net is not None
             self.weight_net = WeightBranch(
@@ -45,7 +74,11 @@ class AdaFusion(PlaceModel):
                 self.voxel_net.stage_channels,
                 config.attention_levels,
                 config.attention,
+                joined_first=config.fusion == "weights",
             )
+            if config.attend_features:
+                self.image_add = _nothing_yet(self.weight_net.width, half)
+                self.voxel_add = _nothing_yet(self.weight_net.width, half)
         self._backbones_frozen = False
 
     def forward(
@@ -57,26 +90,66 @@ class AdaFusion(PlaceModel):
         convolutional and would accept them, and match worse without a word.
         """
         self.check_sizes(image, lidar)
-        f_I = f_P = fused = alpha = None
+        image_seen = voxels_seen = None
         if image is not None and self.image_net is not None:
-            f_I, image_stages = self.image_net(image)
+            image_seen = self.image_net(image)
         if lidar is not None and self.voxel_net is not None:
-            f_P, voxel_stages = self.voxel_net(lidar)
+            voxels_seen = self.voxel_net(lidar)
+        return self.fuse(image_seen, voxels_seen)
 
+    def fuse(self, image: Seen | None, voxels: Seen | None) -> Description:
+        """Describe a batch by what each branch gave: its feature and its stages."""
+        f_I = f_P = a_I = a_P = fused = alpha = None
+        if image is not None:
+            f_I = image[0]
+        if voxels is not None:
+            f_P = voxels[0]
+        both = f_I is not None and f_P is not None
+        if self.weight_net is not None and (both or self.config.attend_features):
+            a_I, a_P = self.weight_net.attend(image, voxels)
+            if a_I is not None and a_P is not None:  # how far to trust each sensor, here and now
+                alpha = self.weight_net(a_I, a_P)
+        if self.image_add is not None and f_I is not None:
+            f_I = f_I + self.image_add(a_I)
+        if self.voxel_add is not None and f_P is not None:
+            f_P = f_P + self.voxel_add(a_P)
+        if self.config.normalise_halves:  # what the weights were made of had its own scale
+            f_I = None if f_I is None else unit_scale(f_I)
+            f_P = None if f_P is None else unit_scale(f_P)
         if f_I is not None and f_P is not None:
-            if self.weight_net is None:
+            if alpha is None:
                 fused = torch.cat([f_I, f_P], dim=1)
-            else:  # how far to trust each sensor, here and now
-                alpha = self.weight_net(f_I, image_stages, f_P, voxel_stages)
+                fused = fused if self.linear is None else self.linear(fused)
+            else:
                 fused = torch.cat([alpha[:, :1] * f_I, alpha[:, 1:] * f_P], dim=1)
         elif self.config.system in ("image", "lidar"):
             fused = f_I if f_I is not None else f_P
+        if fused is not None and self.config.unit_length:
+            fused = F.normalize(fused, dim=1)
         return Description(fused, f_I, f_P, alpha)
 
     def initialise(self, generator: torch.Generator) -> None:
         """Draw the branches so that the signal keeps its size: see `initialise_he`."""
         for net in self.backbones:
             initialise_he(net, generator)
+
+    def load_imagenet(self, path: str | Path) -> None:
+        """Start an image branch of `image_backbone: efficientnet-lite0` from its public weights.
+
+        All of it learns on. Raises UserError for another branch, a file that does not hold every
+        layer, and where the image comes in other colours than the weights expect.
+        """
+        if self.image_net is None or self.config.image_backbone == "paper":
+            raise UserError(
+                f"{path}: the paper's branches have no ImageNet weights; set "
+                "model.image_backbone=efficientnet-lite0 in a system that looks at images"
+            )
+        if self.config.preprocess.image.colours != "unit":
+            raise UserError(
+                f"{path}: these weights expect colours in [-1, 1]; "
+                "set model.preprocess.image.colours=unit"
+            )
+        load_efficientnet(self.image_net, path)
 
     def freeze_backbones(self) -> None:
         """Let the weight branch alone learn (`stage="weights"`).
@@ -103,6 +176,32 @@ class AdaFusion(PlaceModel):
         return self
 
 
+def _nothing_yet(inputs: int, outputs: int) -> nn.Linear:
+    """A linear layer that gives zeros until it has learnt."""
+    layer = nn.Linear(inputs, outputs)
+    nn.init.zeros_(layer.weight)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+def last_cells(config: ModelConfig) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Cells of the last map of the image's branch, (height, width), and of the LiDAR's."""
+    settings, rounded_up = config.preprocess, config.image_backbone != "paper"
+    image = tuple(-(-n // 16) if rounded_up else n // 16 for n in settings.image.size)
+    return image, tuple(n // 8 for n in settings.voxels.shape)
+
+
+def unit_scale(half: Float[Tensor, "b half"]) -> Float[Tensor, "b half"]:
+    """Bring each frame's half to a mean absolute value of 1, so that alpha alone says the trust.
+
+    By the L1 norm, since places are searched by L1: the half's part of a distance is then at most
+    the sum of both frames' weights times its length, the same bound for both sensors. Halves of one
+    L2 length would still differ in L1, by up to the root of their length, between a sensor that
+    speaks in few numbers and one that speaks in all. A half of zeros stays one.
+    """
+    return half.shape[1] * F.normalize(half, p=1.0, dim=1)
+
+
 class WeightBranch(nn.Module):
     """Two weights in (0, 1) from both sensors' features (paper Fig. 4, lower half)."""
 
@@ -112,12 +211,15 @@ class WeightBranch(nn.Module):
         voxel_channels: tuple[int, ...],
         levels: int,
         attention: Attention,
+        joined_first: bool = True,
     ) -> None:
         super().__init__()
         if levels:
-            self.image_attention = MultiScaleAttention(nn.Conv2d, image_channels, levels, attention)
-            self.voxel_attention = MultiScaleAttention(Conv3d, voxel_channels, levels, attention)
-            joined = 2 * ATTENTION_WIDTH
+            how = (levels, attention, joined_first)
+            self.image_attention = MultiScaleAttention(nn.Conv2d, image_channels, *how)
+            self.voxel_attention = MultiScaleAttention(Conv3d, voxel_channels, *how)
+            self.width = self.image_attention.width  # of a_I and of a_P
+            joined = 2 * self.width
         else:
             joined = image_channels[-1] + voxel_channels[-1]
         self.levels = levels
@@ -125,26 +227,37 @@ class WeightBranch(nn.Module):
             nn.Linear(joined, 64), nn.ReLU(), nn.Linear(64, 32), nn.ReLU(), nn.Linear(32, 2)
         )
 
+    def attend(
+        self, image: Seen | None, voxels: Seen | None
+    ) -> tuple[Float[Tensor, "b width"] | None, Float[Tensor, "b width2"] | None]:
+        """Give a_I and a_P, each of its sensor alone; without levels they are f_I and f_P."""
+        a_I = a_P = None
+        if image is not None:
+            a_I = self.image_attention(image[1]) if self.levels else image[0]
+        if voxels is not None:
+            a_P = self.voxel_attention(voxels[1]) if self.levels else voxels[0]
+        return a_I, a_P
+
     def forward(
-        self,
-        f_I: Float[Tensor, "b half"],
-        image_stages: list[Tensor],
-        f_P: Float[Tensor, "b half"],
-        voxel_stages: list[Tensor],
+        self, a_I: Float[Tensor, "b width"], a_P: Float[Tensor, "b width2"]
     ) -> Float[Tensor, "b 2"]:
         """Give alpha: column 0 for the image, column 1 for the LiDAR."""
-        if self.levels:
-            a_I, a_P = self.image_attention(image_stages), self.voxel_attention(voxel_stages)
-        else:
-            a_I, a_P = f_I, f_P
         return self.head(torch.cat([a_I, a_P], dim=1)).sigmoid()
 
 
 class MultiScaleAttention(nn.Module):
-    """Spatial and channel attention at the n deepest levels, joined at the deepest one's cells."""
+    """Spatial and channel attention at the n deepest levels, joined at the deepest one's cells.
+
+    The join is a kernel-1 convolution; without it (`joined=False`) the maps stand side by side.
+    """
 
     def __init__(
-        self, conv: type[Conv], channels: tuple[int, ...], levels: int, attention: Attention
+        self,
+        conv: type[Conv],
+        channels: tuple[int, ...],
+        levels: int,
+        attention: Attention,
+        joined: bool = True,
     ) -> None:
         super().__init__()
         released = attention == "released"
@@ -158,8 +271,10 @@ class MultiScaleAttention(nn.Module):
         self.channel = nn.ModuleList(
             ChannelAttention(conv, channels[level], projected=not released) for level in kept
         )
-        fuse: list[nn.Module] = [conv(2 * levels * VALUE_CHANNELS, ATTENTION_WIDTH, kernel_size=1)]
-        if released:
+        maps = 2 * levels * VALUE_CHANNELS
+        self.width = ATTENTION_WIDTH if joined else maps
+        fuse: list[nn.Module] = [conv(maps, ATTENTION_WIDTH, kernel_size=1)] if joined else []
+        if joined and released:
             norm = nn.BatchNorm2d if conv is nn.Conv2d else nn.BatchNorm3d
             fuse += [norm(ATTENTION_WIDTH), nn.ReLU()]
         self.fuse = nn.Sequential(*fuse)

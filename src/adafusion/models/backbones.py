@@ -108,9 +108,7 @@ def image_backbone(half: int = 128, width: float = 1.0, last_norm: bool = True) 
                 nn.MaxPool2d(2),
             ),
             nn.Sequential(*_convs(nn.Conv2d, c1, c1, c1, c2, c2), nn.MaxPool2d(2)),
-            nn.Sequential(
-                *_convs(nn.Conv2d, c2, c2, c2, half, half), *norm, nn.MaxPool2d(2)
-            ),
+            nn.Sequential(*_convs(nn.Conv2d, c2, c2, c2, half, half), *norm, nn.MaxPool2d(2)),
         ]
     )
 

@@ -25,7 +25,7 @@ from adafusion.types import (
 Inputs = tuple[Tensor | None, Tensor | None]  # images (B, 3, H, W), LiDAR as the model has it
 
 
-def describe(model: PlaceModel, batches: Iterable[Inputs]) -> Descriptions:
+def describe(model: nn.Module, batches: Iterable[tuple[Tensor | None, ...]]) -> Descriptions:
     """Describe batches of tensors, one row a frame.
 
     The model is left in the mode it was in. A part that the system does not have is None.

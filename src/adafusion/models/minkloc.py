@@ -9,7 +9,6 @@ cloud's half has one of its own and the image's has none (`loss.lidar_half_weigh
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import torch
@@ -19,13 +18,12 @@ from torch import Tensor, nn
 
 from adafusion.models.base import PlaceModel
 from adafusion.models.config import ModelConfig
+from adafusion.models.pooling import GeneralisedMean
 from adafusion.models.resnet import load_imagenet_resnet18, resnet18
 from adafusion.models.sparse import Double, Halve, Sites, SparseConv3d, initialise_fan_out, occupied
 from adafusion.types import Description, UserError
 
 NATIVE_DIM = 256
-POWER = 3.0  # of the generalised mean, before training moves it
-LEAST = 1e-6  # a feature in the generalised mean
 
 
 class MinkLoc(PlaceModel):
@@ -178,27 +176,6 @@ class ChannelWeights(nn.Module):
     def forward(self, x: Float[Tensor, "n c"], sites: Sites) -> Float[Tensor, "n c"]:
         """Weigh the rows of x."""
         return sites.scale(x, self.conv(sites.mean(x)[:, None])[:, 0].sigmoid())
-
-
-class GeneralisedMean(nn.Module):
-    """The mean of powers, and the root of it; training moves the power (Radenovic et al., 2018).
-
-    1 gives the mean of what is positive; a large power gives the greatest.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.power = nn.Parameter(torch.empty(1))
-        self.initialise()
-
-    def forward(self, x: Tensor, mean: Callable[[Tensor], Tensor]) -> Float[Tensor, "b c"]:
-        """Pool x by `mean`, which says over what."""
-        pooled: Tensor = mean(x.clamp(min=LEAST).pow(self.power)).pow(1.0 / self.power)
-        return pooled
-
-    def initialise(self) -> None:
-        """Let the power be the one that most begin with."""
-        nn.init.constant_(self.power, POWER)
 
 
 def _initialise_evenly(layer: nn.Conv1d | nn.Conv2d, generator: torch.Generator) -> None:

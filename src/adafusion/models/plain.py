@@ -33,6 +33,8 @@ def plain_forward(
         a_I = plain_multi_scale(model.weight_net.image_attention, image_stages)
         a_P = plain_multi_scale(model.weight_net.voxel_attention, voxel_stages)
     alpha = model.weight_net.head(torch.cat([a_I, a_P], dim=1)).sigmoid()
+    if model.image_add is not None and model.voxel_add is not None:
+        f_I, f_P = f_I + model.image_add(a_I), f_P + model.voxel_add(a_P)
     fused = torch.cat([alpha[:, :1] * f_I, alpha[:, 1:] * f_P], dim=1)
     return Description(fused, f_I, f_P, alpha)
 
