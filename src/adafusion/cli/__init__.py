@@ -9,7 +9,9 @@ errors to stderr. Heavy imports wait inside the commands, so `--help` is quick.
 from __future__ import annotations
 
 import logging
+import os
 import sys
+from collections.abc import Sequence
 
 import typer
 
@@ -25,6 +27,7 @@ from adafusion.cli import (
     training,
     world,
 )
+from adafusion.types import JobFailed, UserError
 
 app = typer.Typer(
     name="adafusion",
@@ -65,9 +68,8 @@ def options(
 
 def main() -> None:
     """Run the command line; the entry point of the console command `adafusion`."""
-    from adafusion.types import JobFailed, UserError
-
     try:
+        _check_launch(sys.argv[1:])
         app()
     except UserError as error:
         print(f"adafusion: {error}", file=sys.stderr)
@@ -75,3 +77,14 @@ def main() -> None:
     except (JobFailed, ModuleNotFoundError, OSError) as error:
         print(f"adafusion: {error}", file=sys.stderr)
         raise SystemExit(1) from None
+
+
+def _check_launch(words: Sequence[str]) -> None:
+    """UserError where torchrun started several processes of a command that they cannot share."""
+    command = next((word for word in words if not word.startswith("-")), "train")
+    several = "TORCHELASTIC_RUN_ID" in os.environ and os.environ.get("WORLD_SIZE") != "1"
+    if several and command != "train":
+        raise UserError(
+            f"{command} cannot be shared by processes: start it without torchrun; "
+            "`adafusion experiment --workers N` trains side by side"
+        )

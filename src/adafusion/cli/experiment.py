@@ -155,7 +155,7 @@ def lines(items: Iterable[T], *, total: int | None = None, desc: str = "") -> It
         yield item
         if time.monotonic() - last > LINE_EVERY_S:
             last = time.monotonic()
-            say(f"{desc}: {count} of {total}")
+            say(f"{desc}: {count}" + ("" if total is None else f" of {total}"))
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -186,12 +186,16 @@ def _catalogue() -> str:
     return "\n".join(lines)
 
 
+def _batches(job: Job) -> str:
+    return "growing" if job.config.batches is None else f"{job.config.batches:,}"
+
+
 def _plan(jobs: Sequence[Job], budget: int) -> str:
     """What would be trained, what is done, and what it costs."""
     wide = max(len(job.name) for job in jobs)
     left = [job for job in jobs if job.state != "done"]
     shown = [
-        f"{job.name:{wide}}  {job.passes:>10,} passes  {job.config.batches:>7,} batches  "
+        f"{job.name:{wide}}  {job.passes:>10,} passes  {_batches(job):>7} batches  "
         f"{job.state:6}  {job.key}"
         for job in jobs
     ]

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -60,11 +61,15 @@ def train(
     size of its paper or, with -s, for two cores: netvlad-s, pointnetvlad-s, minkloc-s, coral-s,
     pic-net-s, oertel-s.
 
+    Where torchrun starts several processes they share every batch, each on a GPU of its own or all
+    on a CPU, and learn what one process would.
+
     \b
     Example: adafusion train runs/mine world-v1-small/train --model small
     Example: adafusion train runs/minkloc world-v1-small/train --model minkloc-s --set seed=1
     Example: adafusion train runs/mine data/world-1 data/world-2 --config configs/small.yaml
     Example: adafusion train runs/paper data/nclt --config configs/paper.yaml --accelerator cuda
+    Example: torchrun --nproc-per-node 4 -m adafusion train runs/four data/nclt --model paper
     """
     from adafusion.config import load_config, save_config
     from adafusion.evaluation import validation_recall
@@ -74,59 +79,74 @@ def train(
     from adafusion.training.checkpoint import STATE_FILE, require_config
     from adafusion.training.corpus import Corpus, with_camera
     from adafusion.training.loop import MODEL_FILE
+    from adafusion.training.ranks import joined
     from adafusion.types import UserError
 
     if model is not None and config is not None:
         raise UserError("give --model or --config: each is a whole configuration")
     file = config if model is None else named_config(model)
     settings = load_config(TrainConfig, file, change or [])
-    asked = out / "asked.yaml"  # train.yaml holds one phase each
-    if asked.exists() and not resume:
-        raise UserError(f"{out} holds a training: give --resume to go on, or another folder")
-    folder = cache_folder(cache)
-    taught = Corpus(tuple(open_data(path, folder) for path in datasets))
-    settings = with_camera(settings, taught.datasets[0])
-    for dataset in taught.datasets:
-        check_unit(dataset, settings.model, "this configuration")
-    if asked.exists():
-        require_config(asked, settings)
-    data = taught.prepare(settings.model.preprocess, folder, bar)
-    sensors = settings.model.sensors
-    rows = taught.rows("train", sensors)
-    if validation:
-        judges = Corpus(tuple(open_data(path, folder) for path in validation))
-        named = any(dataset.info.regions for dataset in judges.datasets)
-        judge_rows = judges.rows("validation" if named else None, sensors)  # never a test region
-    else:
-        judges, judge_rows = taught, taught.rows("validation", sensors)
-    judging = data if judges is taught else judges.prepare(settings.model.preprocess, folder, bar)
-    say(f"training on {len(rows)} frames, choosing on {len(judge_rows)}")
-    card = {
-        "data": taught.facts(),
-        "validation_data": judges.facts(),
-        "commit": git_commit(),
-        "versions": software_versions(),
-    }
-    save_config(settings, asked)
-    for phase in phases(settings, out):
-        if resume and (phase.out / DONE).exists():
-            say(f"{phase.name}: done already")
-            continue
-        steps = run(
-            phase.config,
-            data,
-            rows,
-            validation_recall(judging, judge_rows),
-            phase.out,
-            points=taught.points if phase.config.augment.jitter_m else None,
-            resume=resume and (phase.out / STATE_FILE).exists(),
-            card=card,
-            accelerator=accelerator,
-            precision=precision,
-        )
-        best = _watch(phase.name, steps, phase.out)
-        (phase.out / DONE).touch()
-        print(f"{phase.out / MODEL_FILE}: validation recall@1 {best:.1%}")
+    with joined(accelerator) as ranks:
+        with ranks.first_ahead():  # which renders and prepares what the others then find
+            asked = out / "asked.yaml"  # train.yaml holds one phase each
+            if asked.exists() and not resume:
+                raise UserError(
+                    f"{out} holds a training: give --resume to go on, or another folder"
+                )
+            folder = cache_folder(cache)
+            taught = Corpus(tuple(open_data(path, folder) for path in datasets))
+            settings = with_camera(settings, taught.datasets[0])
+            for dataset in taught.datasets:
+                check_unit(dataset, settings.model, "this configuration")
+            if asked.exists():
+                require_config(asked, settings)
+            data = taught.prepare(settings.model.preprocess, folder, bar)
+            sensors = settings.model.sensors
+            rows = taught.rows("train", sensors)
+            if validation:
+                judges = Corpus(tuple(open_data(path, folder) for path in validation))
+                named = any(dataset.info.regions for dataset in judges.datasets)
+                region = "validation" if named else None  # never a test region
+                judge_rows = judges.rows(region, sensors)
+            else:
+                judges, judge_rows = taught, taught.rows("validation", sensors)
+            judging = (
+                data if judges is taught else judges.prepare(settings.model.preprocess, folder, bar)
+            )
+        if ranks.is_first:
+            say(f"training on {len(rows)} frames, choosing on {len(judge_rows)}")
+            save_config(settings, asked)
+        card = {
+            "data": taught.facts(),
+            "validation_data": judges.facts(),
+            "commit": git_commit(),
+            "versions": software_versions(),
+        }
+        for phase in phases(settings, out):
+            if resume and (phase.out / DONE).exists():
+                if ranks.is_first:
+                    say(f"{phase.name}: done already")
+                continue
+            steps = run(
+                phase.config,
+                data,
+                rows,
+                validation_recall(judging, judge_rows),
+                phase.out,
+                points=taught.points if phase.config.augment.jitter_m else None,
+                resume=resume and (phase.out / STATE_FILE).exists(),
+                card=card,
+                cache=folder,
+                accelerator=accelerator,
+                precision=precision,
+                ranks=ranks,
+            )
+            if not ranks.is_first:
+                deque(steps, maxlen=0)  # the first process tells of them
+                continue
+            best = _watch(phase.name, steps, phase.out)
+            (phase.out / DONE).touch()
+            print(f"{phase.out / MODEL_FILE}: validation recall@1 {best:.1%}")
 
 
 def _watch(name: str, steps: Iterable[Step], out: Path) -> float:
@@ -144,6 +164,7 @@ def _watch(name: str, steps: Iterable[Step], out: Path) -> float:
         for step in steps:
             if shown.total is None:
                 shown.total, shown.initial, shown.n = step.batches, step.batch, step.batch
+            shown.total = step.batches  # fewer where batches grow
             best = step.best
             shown.update(step.batch - shown.n)
             passes, seconds = passes + step.frames, seconds + step.seconds

@@ -9,6 +9,7 @@ names it and is read as plain tensors and numbers.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from safetensors.torch import load_file, save_file
 from adafusion.config import load_config, save_config
 from adafusion.files import atomic_path, sweep_temporaries
 from adafusion.models import PlaceModel
+from adafusion.training.sampler import Course, Sampler
 from adafusion.training.settings import TrainConfig
 from adafusion.types import UserError
 
@@ -55,6 +57,7 @@ def save_checkpoint(
     model: PlaceModel,
     optimizer: Any,
     scheduler: Any,
+    sampler: Sampler,
     done: int,
     passes: int,
     best: float,
@@ -72,6 +75,7 @@ def save_checkpoint(
         "passes": passes,
         "best": best,
         "same": dict(same),
+        "course": asdict(sampler.course),
         "optimizer": optimizer.state_dict(),
         "scheduler": {k: v for k, v in scheduler.state_dict().items() if not callable(v)},
     }
@@ -108,7 +112,12 @@ def _described_before(out: Path, done: int) -> list[tuple[int, Path]]:
 
 
 def restore_checkpoint(
-    out: Path, model: PlaceModel, optimizer: Any, scheduler: Any, same: Mapping[str, str]
+    out: Path,
+    model: PlaceModel,
+    optimizer: Any,
+    scheduler: Any,
+    sampler: Sampler,
+    same: Mapping[str, str],
 ) -> tuple[int, int, float]:
     """Take training up where the last checkpoint left it: batches, frame passes, best recall.
 
@@ -122,6 +131,8 @@ def restore_checkpoint(
         model.load_state_dict(load_file(out / state["weights"]))
         optimizer.load_state_dict(state["optimizer"])
         scheduler.load_state_dict(state["scheduler"])
+        if "course" in state:  # without one, batches had one size
+            sampler.go_on(Course(**state["course"]))
         return int(state["done"]), int(state["passes"]), float(state["best"])
     except Exception as error:
         raise UserError(

@@ -16,14 +16,14 @@ import logging
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 
 from adafusion.files import fingerprint
 from adafusion.losses import pair_distance
@@ -38,10 +38,13 @@ from adafusion.models import (
     use_channels_last,
 )
 from adafusion.models.backbones import add_norms, fold_norms
+from adafusion.models.frozen import FrozenSet, FusionOnly, freeze
 from adafusion.preprocess.augment import (
     augment_points,
     blank_sensors,
     color_jitter,
+    erase_boxes,
+    hue_jitter,
     jitter_points,
 )
 from adafusion.preprocess.cache import PreparedSet
@@ -53,8 +56,9 @@ from adafusion.training.checkpoint import (
     restore_described,
     save_checkpoint,
 )
-from adafusion.training.objective import batch_loss
+from adafusion.training.objective import batch_loss, most_active
 from adafusion.training.pairs import Batch
+from adafusion.training.ranks import ALONE, Ranks
 from adafusion.training.sampler import Sampler
 from adafusion.training.settings import Augment, Loss, Optimiser, TrainConfig
 from adafusion.types import JobFailed, UserError
@@ -76,12 +80,13 @@ class Step:
     """What one batch did. `validation` is None but after an evaluation."""
 
     batch: int  # batches done
-    batches: int  # batches in all
+    batches: int  # in all; where a training counts passes, if batches stay as large as this one
     loss: float
     active: float  # share of pairs that have not met the margin
     frames: int  # frame passes in this batch
     seconds: float
     learning_rate: float
+    waited: float = 0.0  # seconds of these until the batch was read and augmented
     validation: Mapping[str, float] | None = None
     is_best: bool = False
     best: float = -math.inf  # recall@1 on validation of the model kept so far
@@ -97,14 +102,18 @@ def train(
     points: Points | None = None,
     resume: bool = False,
     card: Mapping[str, Any] | None = None,
+    cache: str | Path | None = None,
     accelerator: str = "auto",
     precision: str = "32-true",
+    ranks: Ranks = ALONE,
 ) -> Iterator[Step]:
     """Train one phase on `rows` of `data`, yielding a `Step` after each batch.
 
     `validate` maps a model in eval mode to numbers; its "recall@1" chooses the checkpoint kept as
     `out/model.safetensors` and drives the plateau. `points` gives a row's raw cloud and is needed
-    for jitter alone. `resume` goes on from `out/state.pt`.
+    for jitter alone. `resume` goes on from `out/state.pt`. Of several processes (`ranks`) that see
+    the same `out`, each describes a part of every batch; the first validates, mines and writes.
+    `cache` is the folder for the outputs of frozen branches, where the configuration keeps them.
 
     Raises UserError for a folder that holds another training, JobFailed when the loss is no number.
     """
@@ -117,46 +126,69 @@ def train(
 
     if config.augment.jitter_m and points is None:
         raise ValueError("augment.jitter_m moves raw points: give `points`")
+    if config.cache_branches and cache is None:
+        raise ValueError("cache_branches keeps outputs on disk: give `cache`")
     out = Path(out)
-    claim(out, config, resume)
+    if ranks.is_first:
+        claim(out, config, resume)
+    ranks.wait()  # also for what the first one wrote of a phase before
     sampler = Sampler(config.sampling, data, rows, config.seed)
-    batches = config.batches or config.epochs * sampler.batches_per_epoch
+    length = config.batches or config.passes or config.epochs * sampler.batches_per_epoch
+    done, passes, best = 0, 0, -math.inf
+
+    def gone() -> int:
+        """How much of the length is behind, in batches or in frame passes."""
+        return passes if config.counts_passes else done
+
+    def in_all(frames: int) -> int:
+        left = max(0, length - gone())
+        return done + -(-left // (frames if config.counts_passes else 1))
 
     if accelerator == "auto":  # an Apple GPU lacks operations on volumes that the network needs
         accelerator = "cuda" if torch.cuda.is_available() else "cpu"
-    fabric = Fabric(accelerator=accelerator, devices=1, precision=precision)
+    own = 1 if ranks.is_alone or accelerator == "cpu" else [ranks.local]
+    fabric = Fabric(accelerator=accelerator, devices=own, precision=precision)
     model = build_model(config)
     if not resume:
         looked_at = np.random.default_rng((config.seed, 2)).permutation(rows)[:BEGIN_FRAMES]
         generator = torch.Generator().manual_seed(config.seed)
         model.begin(prepared_batches(data, looked_at), generator)
     if config.balance and not resume and isinstance(model, AdaFusion):
-        balance_branches(model, data, sampler.batches(0, BALANCE_BATCHES), config.loss)
+        first = sampler.batches(0, BALANCE_BATCHES)
+        balance_branches(model, data, first, config.loss, weighted=not config.cache_branches)
     optimizer = _optimizer(config.optimiser, model)
-    scheduler = _scheduler(config, optimizer, batches)
-    wrapped, optimizer = fabric.setup(use_channels_last(model), optimizer)
+    scheduler = _scheduler(config, optimizer, lambda: (gone(), length))
+    network: nn.Module = FusionOnly(model) if config.cache_branches else model
+    wrapped, optimizer = fabric.setup(use_channels_last(network), optimizer)
     same = {"data": _data_fingerprint(data, rows), "precision": precision}
-    done, passes, best = 0, 0, -math.inf
     if resume:  # after the setup, which moves the model to its device
-        done, passes, best = restore_checkpoint(out, model, optimizer, scheduler, same)
+        done, passes, best = restore_checkpoint(out, model, optimizer, scheduler, sampler, same)
         use_channels_last(model)
         sampler.described = restore_described(out, done)
+    ranks.unite(model)
+    frozen: FrozenSet | None = None
+    if config.cache_branches and cache is not None:  # the branches are now what they will stay
+        with ranks.first_ahead():  # which writes what the others then find
+            frozen = freeze(model, data, cache)
     mining = config.sampling.mining
     model.train()
 
     def mine() -> None:
         """Describe all rows as the network is now, for the sampler to choose by."""
-        sampler.described = describe(model, prepared_batches(data, rows, MINING_BATCH)).fused
+        sampler.described = ranks.from_first(
+            lambda: describe(model, prepared_batches(data, rows, MINING_BATCH)).fused
+        )
         assert sampler.described is not None
-        keep_described(out, done, sampler.described)
+        if ranks.is_first:
+            keep_described(out, done, sampler.described)
 
     def evaluate() -> tuple[Mapping[str, float], bool]:
         nonlocal best
-        values = validate(model.eval())
+        values = ranks.from_first(lambda: validate(model.eval()))
         model.train()
         if is_best := values[SELECTED_BY] > best:
             best = values[SELECTED_BY]
-        if is_best or config.keep == "last":
+        if ranks.is_first and (is_best or config.keep == "last"):
             save_model(
                 folded(model),
                 out / MODEL_FILE,
@@ -179,7 +211,7 @@ def train(
         values, is_best = evaluate()  # the untrained twin: what training has to beat
         yield Step(
             batch=0,
-            batches=batches,
+            batches=in_all(sampler.course.frames),
             loss=math.nan,
             active=math.nan,
             frames=0,
@@ -191,13 +223,23 @@ def train(
         )
     if mining is not None and done == 0 and mining.is_due(0):
         mine()
-    for batch in sampler.batches(first=done, count=batches - done):
-        start = time.perf_counter()
-        image, lidar = _inputs(model, data, batch, config.augment, points, (config.seed, done))
-        description = wrapped(fabric.to_device(image), fabric.to_device(lidar))
+    batches = sampler.batches(first=done)
+    while gone() < length:
+        start, before = time.perf_counter(), gone()
+        batch = next(batches)
+        key, part = (config.seed, done), ranks.part(len(batch.rows))
+        inputs: tuple[Tensor | None, ...]
+        if frozen is None:
+            inputs = _inputs(model, data, batch, config.augment, points, key, part)
+        else:
+            inputs = frozen.tensors(batch.rows[part])
+        waited = time.perf_counter() - start
+        description = wrapped(*fabric.to_device(inputs))
+        description = ranks.gather(description, len(batch.rows))
         loss, active = batch_loss(description, batch, config.loss)
         optimizer.zero_grad(set_to_none=True)
         fabric.backward(loss)
+        ranks.sum_gradients(model)
         value = loss.item()
         if not math.isfinite(value):
             raise JobFailed(
@@ -209,26 +251,31 @@ def train(
         done, passes = done + 1, passes + len(batch.rows)
         if config.optimiser.schedule != "plateau":
             scheduler.step()
+        if config.sampling.growth is not None:
+            sampler.tell(most_active(description, batch, config.loss))
         seconds = time.perf_counter() - start
 
         validation: Mapping[str, float] | None = None
         is_best = False
-        if done % config.evaluate_every == 0 or done == batches:
+        is_over = gone() >= length
+        if gone() // config.evaluate_every > before // config.evaluate_every or is_over:
             validation, is_best = evaluate()
             if config.optimiser.schedule == "plateau":
                 scheduler.step(validation[SELECTED_BY])
-        if mining is not None and mining.is_due(done) and done < batches:
+        if mining is not None and mining.is_due(done) and not is_over:
             mine()
-        if done % config.checkpoint_every == 0 or validation is not None:
-            save_checkpoint(out, model, optimizer, scheduler, done, passes, best, same)
+        if ranks.is_first and (done % config.checkpoint_every == 0 or validation is not None):
+            counts = (done, passes, best)
+            save_checkpoint(out, model, optimizer, scheduler, sampler, *counts, same)
         yield Step(
             batch=done,
-            batches=batches,
+            batches=in_all(len(batch.rows)),
             loss=value,
             active=active,
             frames=len(batch.rows),
             seconds=seconds,
             learning_rate=learning_rate,
+            waited=waited,
             validation=validation,
             is_best=is_best,
             best=best,
@@ -245,7 +292,7 @@ def build_model(config: TrainConfig) -> PlaceModel:
     if config.imagenet is not None:
         model.load_imagenet(config.imagenet)
     for file in config.init:
-        take_branches(model, load_model(file))
+        take_branches(model, load_model(file), with_weights=config.take_weights)
     if config.norms:
         for net in model.backbones:
             add_norms(net)
@@ -261,9 +308,9 @@ def untrained_twin(model: PlaceModel, seed: int = 0) -> PlaceModel:
     return twin
 
 
-def take_branches(model: PlaceModel, source: PlaceModel) -> None:
-    """Copy the branches that `source` has into `model`."""
-    for name in ("image_net", "voxel_net"):
+def take_branches(model: PlaceModel, source: PlaceModel, *, with_weights: bool = False) -> None:
+    """Copy the branches that `source` has into `model`; its weight branch only where asked to."""
+    for name in ("image_net", "voxel_net", *(["weight_net"] if with_weights else [])):
         ours, theirs = getattr(model, name, None), getattr(source, name, None)
         if ours is None or theirs is None:
             continue
@@ -285,7 +332,12 @@ def folded(model: PlaceModel) -> PlaceModel:
 
 @torch.inference_mode()
 def balance_branches(
-    model: AdaFusion, data: PreparedSet, batches: Iterable[Batch], loss: Loss
+    model: AdaFusion,
+    data: PreparedSet,
+    batches: Iterable[Batch],
+    loss: Loss,
+    *,
+    weighted: bool = True,
 ) -> None:
     """Scale each branch so that the distances of its half lie around the margin.
 
@@ -294,11 +346,14 @@ def balance_branches(
     middle between true and wrong pairs' mean L1 distance comes to lie at the margin for a half,
     divided by the weight that the model gives the half now (about 0.5 before the weights learn).
     Scaling the last batch norm scales the feature, and with it the deepest stage that the weight
-    branch reads, which has not learnt anything yet.
+    branch reads, which has not learnt anything yet. Without `weighted` that division is left out,
+    and branches come out the same whatever is to fuse them.
     """
     model.eval()
+    scaled = copy.copy(model)  # the same layers, whose halves keep the scale that is measured
+    scaled.config = replace(model.config, normalise_halves=False)
     described = [
-        (model(*_inputs(model, data, batch, Augment(color=0.0), None, (0, 0))), batch)
+        (scaled(*_inputs(model, data, batch, Augment(color=0.0), None, (0, 0))), batch)
         for batch in batches
     ]
     for i, (part, net) in enumerate(
@@ -312,12 +367,11 @@ def balance_branches(
             distance = pair_distance(half, torch.from_numpy(batch.pair).to(half.device))
             is_positive = torch.from_numpy(batch.is_positive).to(half.device)
             middles.append(0.5 * (distance[is_positive].mean() + distance[~is_positive].mean()))
-            weights.append(1.0 if description.alpha is None else description.alpha[:, i].mean())
+            alpha = description.alpha if weighted else None
+            weights.append(1.0 if alpha is None else alpha[:, i].mean())
         margin, _ = loss.margins(model.config.dim // 2)
         factor = margin / float(sum(middles) / len(middles)) / float(sum(weights) / len(weights))
-        norm = net.last_norm
-        norm.weight.mul_(factor)
-        norm.bias.mul_(factor)
+        net.scale(factor)
         log.info("%s scaled by %.3f to the margin", part, factor)
 
 
@@ -328,21 +382,25 @@ def _inputs(
     augment: Augment,
     points: Points | None,
     key: tuple[int, int],
+    part: slice = slice(None),
 ) -> tuple[Tensor | None, Tensor | None]:
-    """The augmented tensors of a batch, only those that the system looks at."""
+    """The augmented tensors of a batch, only those that the system looks at.
+
+    Those of a `part` are what they would be among the whole batch.
+    """
+    rows, among = batch.rows[part], (len(batch.rows), part)
     image = lidar = None
     if "image" in model.sensors:
-        image = to_unit(data.images_u8(batch.rows))
-        if augment.color:
-            seed = int(np.random.SeedSequence(key).generate_state(1)[0])
-            c = augment.color
+        image = to_unit(data.images_u8(rows))
+        if c := augment.color:
+            generator = _generator(*key)
             image = color_jitter(
-                image,
-                torch.Generator().manual_seed(seed),
-                brightness=c,
-                contrast=c,
-                saturation=c,
+                image, generator, brightness=c, contrast=c, saturation=c, among=among
             )
+        if augment.hue:
+            image = hue_jitter(image, _generator(*key, 3), augment.hue, among)
+        if augment.erase:
+            image = erase_boxes(image, _generator(*key, 4), augment.erase, among)
     if "lidar" in model.sensors:
         if points is not None and augment.jitter_m:
             rng = np.random.default_rng(key)
@@ -353,21 +411,24 @@ def _inputs(
                         jitter_points(cloud, rng, augment.jitter_m, augment.jitter_clip_m)
                     )
                     for cloud in clouds
-                ]
+                ][part]
             )
         else:
-            lidar = data.lidar(batch.rows)
+            lidar = data.lidar(rows)
         if augment.points and data.settings.lidar == "points":
-            seed = int(np.random.SeedSequence((*key, 2)).generate_state(1)[0])
-            lidar = augment_points(lidar, torch.Generator().manual_seed(seed))
+            lidar = augment_points(lidar, _generator(*key, 2), among)
         if lidar.ndim == 5:
             lidar = lidar.contiguous(memory_format=torch.channels_last_3d)
     if image is not None and lidar is not None and augment.blank:
-        blank_sensors(image, lidar, augment.blank, np.random.default_rng((*key, 1)))
+        blank_sensors(image, lidar, augment.blank, np.random.default_rng((*key, 1)), among)
     if image is not None:
         image = from_unit(image, data.settings.image)
         image = image.contiguous(memory_format=torch.channels_last)
     return image, lidar
+
+
+def _generator(*key: int) -> torch.Generator:
+    return torch.Generator().manual_seed(int(np.random.SeedSequence(key).generate_state(1)[0]))
 
 
 def _data_fingerprint(data: PreparedSet, rows: Int[np.ndarray, " n"]) -> str:
@@ -376,22 +437,36 @@ def _data_fingerprint(data: PreparedSet, rows: Int[np.ndarray, " n"]) -> str:
 
 
 def _optimizer(settings: Optimiser, model: PlaceModel) -> torch.optim.Optimizer:
-    """What moves the parameters that may move; the image network's at a rate of its own."""
-    learns = [(name, p) for name, p in model.named_parameters() if p.requires_grad]
-    image = [p for name, p in learns if name.startswith("image_net.")]
-    rest = [p for name, p in learns if not name.startswith("image_net.")]
+    """What moves the parameters that may move; image network and weight branch at their rates."""
+    image, rest, weights = [], [], []  # an optimiser's state is kept in this order
+    for name, p in model.named_parameters():
+        if not p.requires_grad:
+            continue
+        if settings.image_share != 1.0 and name.startswith("image_net."):
+            image.append(p)
+        elif settings.weights_share != 1.0 and name.startswith("weight_net."):
+            weights.append(p)
+        else:
+            rest.append(p)
     rate = settings.learning_rate
-    groups: list[dict[str, Any]] = [{"params": [p for _, p in learns], "lr": rate}]
-    if settings.image_share != 1.0 and image:
-        groups = [{"params": image, "lr": settings.image_share * rate}]
-        groups += [{"params": rest, "lr": rate}] if rest else []
+    groups: list[dict[str, Any]] = [
+        {"params": image, "lr": settings.image_share * rate},
+        {"params": rest, "lr": rate},
+        {"params": weights, "lr": settings.weights_share * rate},
+    ]
+    groups = [group for group in groups if group["params"]]
     decay = settings.weight_decay
     if settings.kind == "sgd":
         return torch.optim.SGD(groups, momentum=settings.momentum, weight_decay=decay)
     return torch.optim.Adam(groups, weight_decay=decay, amsgrad=settings.amsgrad)
 
 
-def _scheduler(config: TrainConfig, optimizer: torch.optim.Optimizer, batches: int) -> Any:
+def _scheduler(
+    config: TrainConfig,
+    optimizer: torch.optim.Optimizer,
+    progress: Callable[[], tuple[int, int]],
+) -> Any:
+    """What lets the rate fall; `progress` says how much of the training is behind, and of what."""
     o = config.optimiser
     if o.schedule == "plateau":
         return torch.optim.lr_scheduler.ReduceLROnPlateau(
@@ -399,9 +474,11 @@ def _scheduler(config: TrainConfig, optimizer: torch.optim.Optimizer, batches: i
         )
 
     def share(batch: int) -> float:
+        gone, length = progress()
         if o.schedule == "step":
-            return max(o.floor, o.factor ** (batch * o.steps // batches))
+            falls = sum(gone >= at * length for at in o.milestones)
+            return max(o.floor, o.factor ** (falls if o.milestones else gone * o.steps // length))
         rise = min(1.0, (batch + 1) / max(1, o.warmup))
-        return rise * 0.5 * (1.0 + math.cos(math.pi * min(1.0, batch / batches)))
+        return rise * 0.5 * (1.0 + math.cos(math.pi * min(1.0, gone / length)))
 
     return torch.optim.lr_scheduler.LambdaLR(optimizer, share)

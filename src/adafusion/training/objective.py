@@ -46,6 +46,13 @@ def batch_loss(
     return total, active
 
 
+@torch.no_grad()
+def most_active(description: Description, batch: Batch, loss: Loss) -> float:
+    """Share that still pulls or pushes, of the descriptor or the half where it is largest."""
+    heads = (description.fused, description.image_half, description.lidar_half)
+    return max(term_of(head, batch, loss)[1] for head in heads if head is not None)
+
+
 def term_of(
     descriptors: Float[Tensor, "b d"], batch: Batch, loss: Loss
 ) -> tuple[Float[Tensor, ""], float]:

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from adafusion.models import ModelConfig
-from adafusion.models.config import System
+from adafusion.models.config import STAGED, System
 
-STAGED = ("adafusion", "concat", "image", "lidar")  # systems whose branches can be trained alone
 PAPER_LENGTH = 256  # numbers in the descriptor that the released margins were chosen for
 
 
@@ -43,6 +42,29 @@ class Mining:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Growth:
+    """How a batch grows once it is easy, as MinkLoc++'s does.
+
+    After an epoch in which fewer than `below` of the triplets (of the pairs, where the loss looks
+    at those) still taught the descriptor, and each half, the next batches have `factor` times as
+    many frames, up to `limit` or to what the world has room for: places in a batch lie `d_neg_m`
+    apart, as 15 to 18 do in the training region of world-v1-small.
+    """
+
+    factor: float = 1.4
+    below: float = 0.7
+    limit: int = 160  # frames
+
+    def __post_init__(self) -> None:
+        if self.factor <= 1 or not 0 < self.below <= 1:
+            raise ValueError("growth: factor > 1 and below in (0, 1]")
+
+    def after(self, frames: int, room: int) -> int:
+        """Frames of the batches that follow those of so many, where the world has room for some."""
+        return max(frames, min(int(frames * self.factor), self.limit, room))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Sampling:
     """Which frames meet in a batch.
 
@@ -59,6 +81,7 @@ class Sampling:
     positives: int = 2
     negatives: int = 18
     mining: Mining | None = None  # None: all by chance
+    growth: Growth | None = None  # of mode `batch`, from `places`; None: all of one size
     d_pos_m: float = 10.0
     d_neg_m: float = 50.0
 
@@ -69,6 +92,8 @@ class Sampling:
             raise ValueError("a tuple needs at least 1 true and 1 wrong match")
         if self.mining is not None and self.mode == "batch":
             raise ValueError("mining: mode batch finds its hard matches within the batch")
+        if self.growth is not None and self.mode != "batch":
+            raise ValueError(f"growth: mode {self.mode} has batches of one size")
         if not 0 < self.d_pos_m <= self.d_neg_m:
             raise ValueError(f"need 0 < d_pos_m <= d_neg_m, not {self.d_pos_m} and {self.d_neg_m}")
 
@@ -134,9 +159,10 @@ class Optimiser:
 
     `plateau` multiplies the rate by `factor` after `patience` evaluations without a better
     validation recall@1 (the paper's); `cosine` rises for `warmup` batches, then falls to zero;
-    `step` cuts the training in `steps` equal parts and multiplies the rate by `factor` between
-    them, down to a share of `floor`. `image_share` scales the rate of the image network, which may
-    come trained.
+    `step` cuts the training in `steps` equal parts, or after the shares of it in `milestones`, and
+    multiplies the rate by `factor` between them, down to a share of `floor`. `image_share` scales
+    the rate of the image network, which may come trained; `weights_share` that of the weight
+    branch, which never does.
     """
 
     kind: Literal["adam", "sgd"] = "adam"
@@ -149,14 +175,20 @@ class Optimiser:
     patience: int = 20
     warmup: int = 200
     steps: int = 2
+    milestones: tuple[float, ...] = ()
     floor: float = 0.0
     image_share: float = 1.0
+    weights_share: float = 1.0
 
     def __post_init__(self) -> None:
         if self.learning_rate <= 0 or self.weight_decay < 0 or not 0 < self.factor < 1:
             raise ValueError("need learning_rate > 0, weight_decay >= 0 and 0 < factor < 1")
-        if self.steps < 1 or not 0 <= self.floor <= 1 or self.image_share <= 0:
-            raise ValueError("need steps >= 1, floor in [0, 1] and image_share > 0")
+        if self.steps < 1 or not 0 <= self.floor <= 1:
+            raise ValueError("need steps >= 1 and floor in [0, 1]")
+        if any(not 0 < share < 1 for share in self.milestones):
+            raise ValueError(f"milestones are shares of a training, not {list(self.milestones)}")
+        if min(self.image_share, self.weights_share) <= 0:
+            raise ValueError("image_share and weights_share must be positive")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +196,8 @@ class Augment:
     """Changes that keep the place: 0 switches one off."""
 
     color: float = 0.2  # brightness, contrast and saturation, each by up to this share
+    hue: float = 0.0  # by up to this share of the colour circle
+    erase: float = 0.0  # share of images in which a box is blackened, see `erase_boxes`
     jitter_m: float = 0.0  # standard deviation of each point's shift; reads raw clouds, so slower
     jitter_clip_m: float = 0.05
     points: bool = False  # MinkLoc++'s changes of point sets, see `augment_points`
@@ -172,8 +206,17 @@ class Augment:
     def __post_init__(self) -> None:
         if not 0 <= self.color <= 1 or min(self.jitter_m, self.jitter_clip_m) < 0:
             raise ValueError("color is a share in [0, 1]; jitter is not negative")
-        if not 0 <= self.blank <= 1:
-            raise ValueError(f"blank is a share in [0, 1], not {self.blank}")
+        if not 0 <= self.hue <= 0.5:
+            raise ValueError(f"hue is a share of the colour circle in [0, 0.5], not {self.hue}")
+        for name, share in (("blank", self.blank), ("erase", self.erase)):
+            if not 0 <= share <= 1:
+                raise ValueError(f"{name} is a share in [0, 1], not {share}")
+
+    @property
+    def changes_inputs(self) -> bool:
+        """Whether anything is switched on."""
+        images = self.color or self.hue or self.erase
+        return bool(images or self.jitter_m or self.points or self.blank)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,16 +234,19 @@ class TrainConfig:
     augment: Augment = field(default_factory=Augment)
     seed: int = 0
     epochs: int = 50
-    batches: int | None = None  # takes the place of `epochs`
-    evaluate_every: int = 2000  # batches
+    passes: int | None = None  # frame passes, or up to a batch more; takes the place of `epochs`
+    batches: int | None = None  # takes the place of both
+    evaluate_every: int = 2000  # batches; frame passes where `passes` says how long
     checkpoint_every: int = 500  # batches: what a killed training loses at most
     keep: Literal["best", "last"] = "best"  # on validation: what becomes model.safetensors
     initialisation: Literal["framework", "he"] = "he"
-    imagenet: str | None = None  # file of torchvision's weights for the image network, if at hand
+    imagenet: str | None = None  # weights for the image network: a file, or efficientnet-lite0
     norms: bool = True  # batch norm after every convolution, folded away in what is saved
     init: tuple[str, ...] = ()  # model files whose branches this training starts from
+    take_weights: bool = False  # from those files, the weight branch as well
     balance: bool = False  # first scale each branch to the margin: see `balance_branches`
     stage: Literal["end-to-end", "weights"] = "end-to-end"  # weights: branches frozen
+    cache_branches: bool = False  # frozen: run over each frame once, without augmentation
     schedule: Literal["joint", "staged"] = "staged"  # staged: each branch alone, then together
     branch_batches: int | None = None  # of each branch alone, where staged; default: as `batches`
     joint_rate: float = 0.15  # learning rate of the staged branches together, as a share
@@ -214,11 +260,30 @@ class TrainConfig:
             raise ValueError(f"stage weights: {self.model.system} has no weight branch")
         if self.stage == "weights" and not self.init and self.schedule == "joint":
             raise ValueError("stage weights freezes the branches: name trained ones in init")
+        if self.take_weights and self.model.system != "adafusion":
+            raise ValueError(f"take_weights: {self.model.system} has no weight branch")
+        if self.take_weights and not self.init and self.schedule == "joint":
+            raise ValueError("take_weights: name a trained adafusion in init")
+        if self.cache_branches and (self.stage != "weights" or self.norms):
+            raise ValueError("cache_branches keeps what frozen branches give: set stage=weights")
+        if self.cache_branches and self.augment.changes_inputs:
+            raise ValueError("cache_branches sees each frame as it is: switch augment off")
         if self.init and self.norms:
             raise ValueError("branches named in init have their norms folded away: set norms=false")
+        if self.balance and not self.model.last_norm:
+            raise ValueError("balance scales the last norm: the model must have one")
+        if self.sampling.growth and self.passes is None and self.batches is None:
+            raise ValueError("growth: epochs change with the batch; give passes or batches instead")
         counts = (self.epochs, self.evaluate_every, self.checkpoint_every)
         if min(*counts, self.batches or 1, self.branch_batches or 1) < 1 or self.batches == 0:
             raise ValueError("epochs, batches and what happens every so many of them: at least 1")
+        if self.passes is not None and self.passes < 1:
+            raise ValueError("passes: at least 1")
+
+    @property
+    def counts_passes(self) -> bool:
+        """Whether length and evaluations are counted in frame passes and not in batches."""
+        return self.batches is None and self.passes is not None
 
 
 @dataclass(frozen=True)
@@ -249,6 +314,7 @@ def phases(config: TrainConfig, out: Path) -> list[Phase]:
         init=tuple(str(phase.out / "model.safetensors") for phase in branches),
         norms=False,  # the branches come with theirs folded
         balance=True,
+        imagenet=None,  # the image branch has learnt on from there
         optimiser=replace(
             config.optimiser, learning_rate=config.joint_rate * config.optimiser.learning_rate
         ),
@@ -261,7 +327,9 @@ def _branch(config: TrainConfig, system: System) -> TrainConfig:
     return replace(
         config,
         model=replace(config.model, system=system),
+        imagenet=config.imagenet if system == "image" else None,
         batches=config.branch_batches or config.batches,
         schedule="joint",
         stage="end-to-end",
+        cache_branches=False,
     )
