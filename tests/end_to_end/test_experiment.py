@@ -226,7 +226,7 @@ def test_frames_without_a_sensor_are_left_out_for_all_rows(
 @pytest.mark.parametrize(
     ("words", "remedy"),
     [
-        (["nothing"], "choose from headline, table-systems"),
+        (["nothing"], "choose from headline, "),
         (["headline", "--rows", "W"], "choose from V, L, VL, AdaFusion"),
         (["headline", "--seeds", "a"], "whole numbers"),
         (["headline", "--seeds", "-1"], "none below 0"),

@@ -17,12 +17,14 @@ def row(label: str, value: float, converged: bool) -> dict[str, Any]:
         "label": label,
         "system": "concat",
         "reconstruction": label == "guessed",
+        "pretrained": label == "good",
         "published_oxford_percent": {"at_1": 97.1, "at_1_percent": None},
         "parameters": 1234567,
         "frame_passes": {"image": 1000},
         "validation_passes": 10,
         "mining_passes": 0,
         "converged": converged,
+        "why_not_ranked": "" if converged else "not converged",
         "alpha": [None],
         "recall": {"cross-run": {"AR@1": estimate, "AR@1%": estimate}},
         "recall@1_by_seed": [value],
@@ -66,6 +68,7 @@ def test_a_row_that_still_rises_is_below_the_others_and_never_bold(
     assert "**" not in lines["rising"] + lines["guessed"]
     assert "(not converged)" in lines["rising"]
     assert "(reconstruction)" in lines["guessed"]
+    assert "(from ImageNet)" in lines["good"]
 
 
 def test_the_page_says_what_its_numbers_are_worth(results: dict[str, Any]) -> None:

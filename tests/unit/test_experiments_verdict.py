@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adafusion.experiments.convergence import half_width, still_rising
+from adafusion.experiments.convergence import half_width, still_rising, why_not_ranked
 from adafusion.experiments.verdict import Asked, estimate, judge_difference, widening
 
 BLOCKS, SPLITS, EACH = 40, 6, 4
@@ -120,3 +120,18 @@ def test_a_rising_curve_is_told_from_one_that_levelled_off(
     curve: list[float], rising: bool
 ) -> None:
     assert still_rising(curve, num_answers=1000) is rising
+
+
+@pytest.mark.parametrize(
+    ("curve", "from_scratch", "why_not"),
+    [
+        ([0.1, 0.11, 0.1, 0.11, 0.105], True, "did not learn"),
+        ([0.5, 0.51, 0.5, 0.51, 0.505], False, ""),  # begins with trained branches
+        ([0.1, 0.3, 0.3, 0.3, 0.3], True, ""),
+        ([0.1, 0.1, 0.1, 0.1, 0.3], True, "not converged"),
+    ],
+)
+def test_a_row_is_not_ranked_while_it_rises_nor_if_it_never_did(
+    curve: list[float], from_scratch: bool, why_not: str
+) -> None:
+    assert why_not_ranked(curve, 1000, from_scratch=from_scratch) == why_not

@@ -12,6 +12,7 @@ import adafusion
 ROOT = Path(adafusion.__file__).parent
 # A module may import from its own part and from the layers below; parts of one layer are siblings.
 LAYERS: list[set[str]] = [
+    {"__main__"},
     {"cli"},
     {"experiments"},
     {"doctor"},

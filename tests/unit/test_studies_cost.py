@@ -37,6 +37,7 @@ def test_the_table_has_the_ratio_and_the_picture_a_mark_a_row(tmp_path: Path) ->
             "system": system,
             "parameters": 1_000_000,
             "converged": system == "concat",
+            "why_not_ranked": "" if system == "concat" else "not converged",
             "recall": {"cross-run": {"AR@1": {"value": 0.5, "interval": None}}},
         }
         for label, system in (("VL D-128", "concat"), ("AdaFusion D-128", "adafusion"))

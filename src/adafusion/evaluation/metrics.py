@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int, Int64
+from jaxtyping import Float, Float32, Float64, Int, Int64, Real
 from numba import njit
 
 Interval = tuple[float, float]
@@ -58,7 +58,7 @@ def place_blocks(
 
 
 def mean_recall(
-    hits: Int64[np.ndarray, "split block k"],
+    hits: Real[np.ndarray, "split block k"],
     answerable: Int64[np.ndarray, "split block"],
     weight: Float[np.ndarray, "draw block"],
 ) -> Float64[np.ndarray, "draw k"]:

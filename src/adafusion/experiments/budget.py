@@ -18,7 +18,7 @@ def batches_of(corpus: Corpus, sampling: Sampling, passes: int) -> int:
     """How many batches make so many frame passes, on average over what the sampler draws.
 
     Batches differ in frames, and mining adds some once it has begun; what a training really
-    spent is counted as it goes.
+    spent is counted as it goes. Of batches that grow, so many would do if none did.
     """
     rows = corpus.rows("train")
     sampler = Sampler(sampling, corpus.unread, rows, seed=0)

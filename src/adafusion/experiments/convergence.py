@@ -10,10 +10,27 @@ import numpy as np
 
 LEAST = 4  # evaluations without which nothing can be said
 
+RISING, NEVER_BEGAN = "not converged", "did not learn"  # why a row is not ranked
+
 
 def half_width(recall: float, num_answers: int) -> float:
     """Half of the 95 % interval of a share measured on so many answers."""
     return 1.96 * float(np.sqrt(max(recall * (1.0 - recall), 0.0) / num_answers))
+
+
+def why_not_ranked(curve: Sequence[float], num_answers: int, *, from_scratch: bool) -> str:
+    """`RISING`, `NEVER_BEGAN` or, where the row may be ranked, nothing.
+
+    curve: validation recall@1 from before the first batch on, on so many answers.
+    """
+    if still_rising(curve, num_answers):
+        return RISING
+    return NEVER_BEGAN if from_scratch and never_began(curve, num_answers) else ""
+
+
+def never_began(curve: Sequence[float], num_answers: int) -> bool:
+    """Whether a training from scratch came to nothing: its best is within chance of its start."""
+    return len(curve) > 1 and max(curve) - curve[0] <= half_width(curve[0], num_answers)
 
 
 def still_rising(curve: Sequence[float], num_answers: int) -> bool:

@@ -20,26 +20,29 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from filelock import FileLock
+from jaxtyping import Int
 
 from adafusion.config import identity, to_plain
 from adafusion.evaluation import validation_recall
 from adafusion.experiments.budget import batches_of
 from adafusion.experiments.plan import Experiment, Training
 from adafusion.files import fingerprint, write_json
+from adafusion.models import PlaceModel
+from adafusion.models.frozen import describe_frozen
 from adafusion.provenance import git_commit, software_versions
 from adafusion.training import TrainConfig, train
 from adafusion.training.checkpoint import STATE_FILE
 from adafusion.training.corpus import Corpus
 from adafusion.training.loop import MODEL_FILE, SELECTED_BY
-from adafusion.types import Progress, silent
+from adafusion.types import Descriptions, Progress, silent
 from adafusion.workers import map_in_processes
 
 log = logging.getLogger(__name__)
 
 TRAINING_VERSION = 1  # raise it when an equal configuration comes to train to other weights
-EVALUATIONS = 8  # on validation, of each training, beside that before its first batch
 RECORD_FILE, CURVE_FILE = "training.json", "curve.json"
 
 
@@ -96,13 +99,15 @@ def plan_jobs(experiment: Experiment, seeds: Sequence[int], corpus: Corpus, out:
         if budget not in batches:
             batches[budget] = batches_of(corpus, *budget)
         count = batches[budget]
+        grows = training.config.sampling.growth is not None  # into who knows how many batches
         optimiser = training.config.optimiser
         rise = min(optimiser.warmup, count // 10)  # a short training has a short rise
         config = replace(
             training.config,
             seed=seed,
-            batches=count,
-            evaluate_every=-(-count // EVALUATIONS),
+            passes=training.passes if grows else None,
+            batches=None if grows else count,
+            evaluate_every=-(-(training.passes if grows else count) // training.evaluations),
             optimiser=replace(optimiser, warmup=rise),
             init=tuple(str(source.model) for source in sources),
             schedule="joint",  # the plan is the schedule
@@ -135,7 +140,7 @@ def train_jobs(
     workers: int = 1,
     progress: Progress = silent,
 ) -> Iterator[Job]:
-    """Train what is not done, yielding each training as it is.
+    """Train what is not done, yielding each training as it is; sources come first in `jobs`.
 
     One worker trains with all threads; several train side by side, each with one thread.
     """
@@ -145,9 +150,7 @@ def train_jobs(
     work = _Work(tuple(dataset.root for dataset in corpus.datasets), cache, progress)
     start = torch.set_num_threads if workers > 1 else None
     arguments = (1,) if workers > 1 else ()
-    for depth in sorted({job.depth for job in todo}):  # sources before what starts from them
-        wave = [job for job in todo if job.depth == depth]
-        yield from map_in_processes(work, wave, workers, start=start, arguments=arguments)
+    yield from map_in_processes(work, todo, workers, start=start, arguments=arguments)
 
 
 @dataclass(frozen=True)
@@ -159,7 +162,9 @@ class _Work:
     progress: Progress
 
     def __call__(self, job: Job) -> Job:
-        train_job(job, Corpus.open(self.roots), self.cache, self.progress)
+        corpus = Corpus.open(self.roots)
+        for one in job.chain():  # what it starts from may still be trained by another process
+            train_job(one, corpus, self.cache, self.progress)
         return job
 
 
@@ -175,23 +180,27 @@ def _train(job: Job, corpus: Corpus, cache: Path, progress: Progress) -> None:
     data = corpus.prepare(job.config.model.preprocess, cache)
     rows, judges = corpus.rows("train"), corpus.rows("validation")
     curve = job.folder / CURVE_FILE
-    assert job.config.batches is not None  # the plan sets it
-    batches = job.config.batches
     resume = job.state == "begun"
     # what a start that came to no checkpoint left is none of this training's
     evaluations = json.loads(curve.read_text(encoding="utf-8")) if resume else []
+
+    def by_cache(model: PlaceModel, rows: Int[np.ndarray, " n"]) -> Descriptions:
+        return describe_frozen(model, data, rows, cache)
+
     steps = train(
         job.config,
         data,
         rows,
-        validation_recall(data, judges),
+        validation_recall(data, judges, by_cache if job.config.cache_branches else None),
         job.folder,
         points=corpus.points if job.config.augment.jitter_m else None,
         resume=resume,
+        cache=cache,
         card={"data": corpus.facts(), "commit": git_commit(), "versions": software_versions()},
     )
-    # a new training yields a step before its first batch
-    left = batches - _state(job)["done"] if resume else batches + 1
+    left = job.config.batches  # None where that depends on how batches grow
+    if left is not None:  # a new training yields a step before its first batch
+        left = left - _state(job)["done"] if resume else left + 1
     began = time.perf_counter()
     for step in progress(steps, total=left, desc=job.name):
         if step.validation is None:
@@ -203,6 +212,7 @@ def _train(job: Job, corpus: Corpus, cache: Path, progress: Progress) -> None:
         write_json(curve, evaluations)
         log.info("%s, batch %d: %s", job.name, step.batch, line)
     state = _state(job)
+    batches = int(state["done"])
     mining = job.config.sampling.mining
     write_json(
         job.folder / RECORD_FILE,
@@ -239,15 +249,27 @@ def row_curve(jobs: Sequence[Job]) -> list[float]:
     """
     curves = []
     for last in jobs:
-        own = [job for job in last.chain() if job.config.model == last.config.model]
-        curves.append([line[SELECTED_BY] for job in own for line in job.record()["curve"]])
+        curves.append([line[SELECTED_BY] for job in _own(last) for line in job.record()["curve"]])
     length = min(map(len, curves))
     return [sum(curve[i] for curve in curves) / len(curves) for i in range(length)]
 
 
+def starts_from_scratch(last: Job) -> bool:
+    """Whether the curve of a row begins with weights drawn by chance."""
+    return not next(_own(last)).sources
+
+
+def _own(last: Job) -> Iterator[Job]:
+    return (job for job in last.chain() if job.config.model == last.config.model)
+
+
 def passes_of(job: Job, count: Callable[[Job], int]) -> dict[str, int]:
-    """A count of frame passes over a row's chain, through the network of each sensor."""
+    """A count of frame passes over a row's chain, through the network of each sensor.
+
+    What is trained on the outputs of frozen networks sends nothing through them.
+    """
+    chain = [one for one in job.chain() if not one.config.cache_branches]
     return {
-        sensor: sum(count(one) for one in job.chain() if sensor in one.config.model.sensors)
+        sensor: sum(count(one) for one in chain if sensor in one.config.model.sensors)
         for sensor in job.config.model.sensors
     }

@@ -32,7 +32,8 @@ from adafusion.evaluation.metrics import place_blocks
 from adafusion.experiments.verdict import Asked
 from adafusion.files import write_json
 from adafusion.models import PlaceModel, describe, load_model, prepared_batches
-from adafusion.preprocess.cache import prepare_cache
+from adafusion.models.frozen import describe_frozen
+from adafusion.preprocess.cache import PreparedSet, prepare_cache
 from adafusion.types import SENSORS, Descriptions, Progress, Split, UserError, lacking, silent
 
 EVALUATION_VERSION = 1  # raise it when equal models and data come to give other answers
@@ -136,10 +137,29 @@ def evaluate_model(
     cache: Path,
     out: Path,
     progress: Progress = silent,
+    *,
+    frozen: bool = False,
 ) -> dict[str, list[dict[str, Any]]]:
-    """Result records of a model by protocol, one a world; described once, and only if need be."""
+    """Result records of a model file: see `evaluate_loaded`."""
     model = load_model(file, "cuda" if torch.cuda.is_available() else "cpu")
     model.name = name
+    return evaluate_loaded(model, worlds, protocols, cache, out, progress, frozen=frozen)
+
+
+def evaluate_loaded(
+    model: PlaceModel,
+    worlds: Sequence[ExamData],
+    protocols: Sequence[str],
+    cache: Path,
+    out: Path,
+    progress: Progress = silent,
+    *,
+    frozen: bool = False,
+) -> dict[str, list[dict[str, Any]]]:
+    """Result records of a model by protocol, one a world; described once, and only if need be.
+
+    Of a model that shares its branches with others (`frozen`), what those give is computed once.
+    """
     records: dict[str, list[dict[str, Any]]] = {protocol: [] for protocol in protocols}
     for test in worlds:
         described: Descriptions | None = None
@@ -148,7 +168,7 @@ def evaluate_model(
             path = out / "evaluations" / f"{'-'.join(map(str, stem))}.json"
             if not path.exists():
                 if described is None:
-                    described = _describe(model, test.dataset, cache, progress)
+                    described = describe_frames(model, test.dataset, cache, progress, frozen=frozen)
                 write_json(path, _record(model, test, described, protocol))
             records[protocol].append(json.loads(path.read_text(encoding="utf-8")))
     return records
@@ -173,9 +193,22 @@ def answerable_of(
     return questions.asked.where(answerable), answerable
 
 
-def _describe(model: PlaceModel, dataset: Dataset, cache: Path, progress: Progress) -> Descriptions:
+def describe_frames(
+    model: PlaceModel,
+    dataset: Dataset,
+    cache: Path,
+    progress: Progress = silent,
+    *,
+    frozen: bool = False,
+) -> Descriptions:
+    """Describe every frame of a dataset by what the cache holds of it.
+
+    That is the preprocessed frames or, with `frozen`, what the model's branches give of them.
+    """
     prepared = prepare_cache(dataset, model.config.preprocess, cache, progress=progress)
     rows = np.arange(len(dataset.frames))
+    if frozen:
+        return describe_frozen(model, PreparedSet((prepared,)), rows, cache, progress)
     batches = progress(
         prepared_batches(prepared, rows, BATCH),
         total=-(-len(rows) // BATCH),

@@ -7,9 +7,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from adafusion.experiments.convergence import NEVER_BEGAN, RISING
 from adafusion.types import Estimate
-
-NOT_RANKED = "not converged"
 
 
 def ranking(rows: Sequence[Mapping[str, Any]], protocol: str) -> list[Mapping[str, Any]]:
@@ -57,8 +56,9 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         + (" and over seeds" if len(seeds) > 1 else "")
         + f" ({results['draws']} draws). A row whose validation recall@1 still rose in the last "
         "quarter of its evaluations, by more than the 95 % half-width of "
-        f'{results["validation_answers"]} answers, is marked "{NOT_RANKED}", stands below the '
-        "others in no order and has no verdict. The paper's numbers are its own, on Oxford "
+        f'{results["validation_answers"]} answers, is marked "{RISING}", one from scratch whose '
+        f'best is within that of its start "{NEVER_BEGAN}"; both stand below the others in no '
+        "order and have no verdict. The paper's numbers are its own, on Oxford "
         "RobotCar under several protocols: they compare with nothing here.",
         "",
         *(f"- {name}: {words}" for name, words in results["protocols"].items()),
@@ -91,7 +91,8 @@ def _table(results: Mapping[str, Any]) -> list[str]:
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
     for row in rows:
         marks = ["reconstruction"] * row["reconstruction"]
-        marks += [NOT_RANKED] * (not row["converged"])
+        marks += ["from ImageNet"] * row["pretrained"]
+        marks += [row["why_not_ranked"]] * (not row["converged"])
         cells = [row["label"] + (f" ({', '.join(marks)})" if marks else "")]
         cells.append(f"{row['parameters']:,}")
         passes = row["frame_passes"]

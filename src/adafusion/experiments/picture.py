@@ -7,11 +7,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from adafusion.files import atomic_path
 from adafusion.report import plots
-from adafusion.report.plots import Figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+else:  # drawing is optional
+    Figure: TypeAlias = Any
 
 
 @contextmanager
@@ -23,7 +27,7 @@ def picture(
     Says above that the data are synthetic where the results do.
     """
     try:
-        from matplotlib.figure import Figure
+        from matplotlib import figure as drawn
         from matplotlib.style import context
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
@@ -31,7 +35,7 @@ def picture(
         ) from error
 
     with context(["default", plots.STYLE]):
-        figure = Figure((width, height), layout="constrained")
+        figure = drawn.Figure((width, height), layout="constrained")
         yield figure
         if any(data["synthetic"] for data in results["test_data"]):
             figure.suptitle("SYNTHETIC data")

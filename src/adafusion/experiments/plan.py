@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 Recipe = Callable[[str], TrainConfig]  # from the name of a file in configs/
 
+EVALUATIONS = 8  # on validation, of each training, beside that before its first batch
+
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
@@ -29,6 +31,7 @@ class Training:
     config: TrainConfig  # seed, batches, init and evaluations are set when the data is known
     passes: int
     starts_from: tuple[Training, ...] = ()
+    evaluations: int = EVALUATIONS
 
     def chain(self) -> Iterator[Training]:
         """All trainings that lead to this one, and this one last."""
@@ -53,6 +56,7 @@ class Row:
     training: Training  # the last of its chain
     published: Published | None = None
     reconstruction: bool = False  # neither code nor full text is public: built from what is known
+    pretrained: bool = False  # the image network starts from ImageNet
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,15 @@ import torch
 
 from adafusion.evaluation import describe_protocol
 from adafusion.experiments.budget import validation_answers
-from adafusion.experiments.convergence import half_width, still_rising
-from adafusion.experiments.jobs import Job, Rows, all_jobs, passes_of, row_curve
+from adafusion.experiments.convergence import half_width, why_not_ranked
+from adafusion.experiments.jobs import (
+    Job,
+    Rows,
+    all_jobs,
+    passes_of,
+    row_curve,
+    starts_from_scratch,
+)
 from adafusion.experiments.judging import (
     KS,
     Answers,
@@ -64,7 +71,16 @@ def measure(
     for row in experiment.rows:
         jobs = rows[row.label]
         records = [
-            evaluate_model(job.name, job.model, exams, protocols, cache, out, progress)
+            evaluate_model(
+                job.name,
+                job.model,
+                exams,
+                protocols,
+                cache,
+                out,
+                progress,
+                frozen=job.config.cache_branches,
+            )
             for job in jobs
         ]
         given = {p: tuple(answers(record[p]) for record in records) for p in protocols}
@@ -154,16 +170,19 @@ def _row(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
     """What the table says of a row's training; counts of passes are those of one seed."""
     records = {job.key: job.record() for job in jobs[0].chain()}
     curve = row_curve(jobs)
+    why_not = why_not_ranked(curve, num_answers, from_scratch=starts_from_scratch(jobs[0]))
     return {
         "label": row.label,
         "system": jobs[0].config.model.system,
         "reconstruction": row.reconstruction,
+        "pretrained": row.pretrained,
         "published_oxford_percent": None if row.published is None else asdict(row.published),
         "trainings": [[one.key for one in job.chain()] for job in jobs],
         "frame_passes": passes_of(jobs[0], lambda job: records[job.key]["frame_passes"]),
         "mining_passes": sum(record["mining_passes"] for record in records.values()),
         "validation_passes": sum(record["validation_passes"] for record in records.values()),
-        "converged": not still_rising(curve, num_answers),
+        "converged": not why_not,
+        "why_not_ranked": why_not,
         "validation_curve": curve,
         "rising_by_more_than": half_width(max(curve), num_answers),
     }

@@ -3,7 +3,7 @@
 """Is one system better than another? Differences with intervals over places and seeds.
 
 The statistic, of values v(s, q) for seed s and query q (whether it was answered rightly, or by how
-much one system beats the other there):
+much one system beats the other there, or any other number):
 
 1. Recall of seed s: the mean over the queries of each split, averaged over the splits without
    weights. The value is the mean over the S seeds.
@@ -29,7 +29,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int, Int64
+from jaxtyping import Bool, Float64, Int64, Real
 from scipy.stats import norm, t
 
 from adafusion.evaluation.metrics import draw_blocks, mean_recall, percentile_interval
@@ -67,7 +67,7 @@ class Verdict:
 
 
 def estimate(
-    values: Int[np.ndarray, "seed q"], asked: Asked, *, seed: int = 0, num_draws: int = DRAWS
+    values: Real[np.ndarray, "seed q"], asked: Asked, *, seed: int = 0, num_draws: int = DRAWS
 ) -> Estimate:
     """Mean over splits and seeds with its 95 % interval; see the module for the statistic.
 
@@ -86,15 +86,15 @@ def estimate(
 
 
 def judge_difference(
-    ours: Int[np.ndarray, "seed q"],
-    theirs: Int[np.ndarray, "seed q"],
+    ours: Real[np.ndarray, "seed q"],
+    theirs: Real[np.ndarray, "seed q"],
     asked: Asked,
     *,
     seed: int = 0,
     num_draws: int = DRAWS,
 ) -> Verdict:
     """Whether ours is above theirs on the same queries; see the module for the statistic."""
-    gain = ours.astype(np.int64) - theirs.astype(np.int64)
+    gain = ours.astype(np.float64) - theirs
     difference = estimate(gain, asked, seed=seed, num_draws=num_draws)
     word: Word = "undecided"
     if difference.interval is not None and len(gain) > 1:
@@ -121,7 +121,7 @@ def widening(num_seeds: int) -> float:
 
 
 def _recalls(
-    values: Int[np.ndarray, "seed q"], asked: Asked, seed: int, num_draws: int
+    values: Real[np.ndarray, "seed q"], asked: Asked, seed: int, num_draws: int
 ) -> tuple[Float64[np.ndarray, " seed"], Float64[np.ndarray, " draw"] | None]:
     """Recall of each seed on all blocks, and that of all seeds on each draw of blocks."""
     if not asked.split.size:
@@ -131,7 +131,7 @@ def _recalls(
     shape = (int(split.max()) + 1, len(blocks))
     cell = split * len(blocks) + block
     answerable = np.bincount(cell, minlength=shape[0] * shape[1]).reshape(shape)
-    sums = np.zeros((*shape, len(values)), np.int64)
+    sums = np.zeros((*shape, len(values)))
     for s, of_seed in enumerate(values):
         np.add.at(sums[:, :, s], (split, block), of_seed)
     recall = mean_recall(sums, answerable, np.ones((1, len(blocks))))[0]

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from adafusion.experiments.page import NOT_RANKED
 from adafusion.experiments.picture import picture
 from adafusion.experiments.study import Study, Trained
 from adafusion.models import PlaceModel, describe, load_model, use_channels_last
@@ -82,7 +81,7 @@ def draw_cost(results: Mapping[str, Any], path: Path) -> None:
                 axes.plot(x, recall, "o-", color=color, label=system)
                 for row, *at in zip(rows, x, recall, strict=True):
                     words_of = row["label"].split(" ")[-1]
-                    words_of += "" if row["converged"] else f", {NOT_RANKED}"
+                    words_of += "" if row["converged"] else f", {row['why_not_ranked']}"
                     axes.annotate(
                         words_of, at, xytext=(5, -11), textcoords="offset points", fontsize=8
                     )

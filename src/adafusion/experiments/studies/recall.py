@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from adafusion.experiments.judging import KS, answerable_of
-from adafusion.experiments.page import NOT_RANKED, in_percent
+from adafusion.experiments.page import in_percent
 from adafusion.experiments.picture import picture
 from adafusion.experiments.study import Study, Trained
 from adafusion.experiments.verdict import estimate, judge_difference, plain_verdict
@@ -59,7 +59,7 @@ def draw_recall(results: Mapping[str, Any], path: Path) -> None:
         recall, gain = figure.subplots(1, 2)
         for row in results["rows"]:
             measures = row["recall"][protocol]
-            label = row["label"] + ("" if row["converged"] else f" ({NOT_RANKED})")
+            label = row["label"] + ("" if row["converged"] else f" ({row['why_not_ranked']})")
             _curve(recall, measures, color_of[row["label"]], label)
         for other, gains in results["study"]["gains"].items():
             _curve(gain, gains["at"], color_of[other], f"over {other}")

@@ -1,0 +1,224 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""What learnt weights gain over fixed ones on the same frozen branches, and what could be gained.
+
+A fixed share s describes a frame by [s f_I; (1 - s) f_P]. Equal weights are s = 1/2; the best fixed
+share is chosen on the validation region, for each seed. The oracle takes for each query, after the
+fact, whichever share answers it rightly: no system, but what no choice of a share for each query
+can exceed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64, Int64
+
+from adafusion.evaluation import evaluate_splits
+from adafusion.evaluation.validation import region_recall
+from adafusion.experiments.jobs import Job
+from adafusion.experiments.judging import answerable_of, describe_frames, evaluate_model
+from adafusion.experiments.page import in_percent
+from adafusion.experiments.picture import picture
+from adafusion.experiments.study import Study, Trained
+from adafusion.experiments.verdict import Asked, estimate, judge_difference, plain_verdict
+from adafusion.models import load_model
+from adafusion.models.frozen import describe_frozen
+from adafusion.report import plots
+from adafusion.types import Descriptions, UserError
+
+SHARES = tuple(i / 20 for i in range(21))  # of the image; the LiDAR has the rest
+EQUAL = SHARES.index(0.5)
+BEST, ORACLE = "best fixed share", "oracle"
+
+
+@dataclass(frozen=True, eq=False)
+class FixedShares:
+    """What each fixed share answers with one seed's branches."""
+
+    validation: Float64[np.ndarray, " share"]  # recall@1
+    hits: Int64[np.ndarray, "share q"]  # of the test queries: 1 where the first answer is right
+
+    @property
+    def best(self) -> int:
+        """The share that validation chooses; the most even one of equals."""
+        top = np.flatnonzero(self.validation == self.validation.max())
+        return int(top[np.argmin(np.abs(top - EQUAL))])
+
+
+def measure_weighting(trained: Trained) -> dict[str, Any]:
+    """Recall of fixed shares, each row's gain over them, and what its weights are like.
+
+    UserError where no row was trained on frozen branches.
+    """
+    frozen = {
+        label: jobs
+        for label, jobs in trained.rows.items()
+        if jobs[0].config.cache_branches and not jobs[0].config.model.attend_features
+    }
+    if not frozen:
+        raise UserError(
+            f"{trained.experiment.name} compares weights on frozen branches: leave a row of them"
+        )
+    fixed = [fixed_shares(job, trained) for job in next(iter(frozen.values()))]
+    asked, answerable = answerable_of(next(iter(trained.said.values())), trained.questions)
+    hits = np.stack([one.hits for one in fixed])[:, :, answerable]  # (seed, share, q)
+    equal = hits[:, EQUAL]
+    best = np.stack([of_seed[one.best] for of_seed, one in zip(hits, fixed, strict=True)])
+    unlearnt = {
+        "LiDAR alone": hits[:, 0],
+        "image alone": hits[:, -1],
+        "equal weights": equal,
+        BEST: best,
+        ORACLE: hits.max(axis=1),
+    }
+    rows = {}
+    for label, said in trained.said.items():
+        right = np.stack([one.hits(1)[answerable] for one in said])
+        ranked = label in trained.converged
+        rows[label] = {
+            "over equal": plain_verdict(judge_difference(right, equal, asked), ranked=ranked),
+            "over best": plain_verdict(judge_difference(right, best, asked), ranked=ranked),
+            "alpha": _alpha(trained, label),
+        }
+    return {
+        "shares": list(SHARES),
+        "recall_by_share": [
+            asdict(estimate(hits[:, i], asked))["value"] for i in range(len(SHARES))
+        ],
+        "validation_by_share": np.mean([one.validation for one in fixed], axis=0).tolist(),
+        "best_share": [SHARES[one.best] for one in fixed],
+        "unlearnt": {
+            name: {
+                "recall": _recall(right, asked),
+                "over equal": plain_verdict(judge_difference(right, equal, asked), ranked=True),
+            }
+            for name, right in unlearnt.items()
+        },
+        "rows": rows,
+    }
+
+
+def _recall(right: Int64[np.ndarray, "seed q"], asked: Asked) -> dict[str, Any]:
+    found = estimate(right, asked)
+    if found.interval is not None:  # widened ones may leave what a recall can be
+        low, high = found.interval
+        found = replace(found, interval=(max(low, 0.0), min(high, 1.0)))
+    return asdict(found)
+
+
+def fixed_shares(job: Job, trained: Trained) -> FixedShares:
+    """Judge every share by the unweighted halves of a training on frozen branches."""
+    model = load_model(job.model, "cuda" if torch.cuda.is_available() else "cpu")
+    model.name = job.name
+    data = trained.corpus.prepare(model.config.preprocess, trained.cache)
+    rows = trained.corpus.rows("validation")
+    judge = region_recall(data, rows)
+    seen = describe_frozen(model, data, rows, trained.cache, trained.progress)
+    validation = np.array([judge(at_share(seen, share), model.config.p) for share in SHARES])
+    hits: list[list[np.ndarray]] = [[] for _ in SHARES]
+    for exam in trained.exams:
+        splits = exam.splits(trained.experiment.protocols[0])
+        seen = describe_frames(model, exam.dataset, trained.cache, trained.progress, frozen=True)
+        for of_share, share in zip(hits, SHARES, strict=True):
+            answered = evaluate_splits(
+                at_share(seen, share), exam.dataset.positions_m, splits, ks=[1], p=model.config.p
+            )
+            of_share += [(one.first_hit == 1).astype(np.int64) for one in answered.results]
+    return FixedShares(validation, np.stack([np.concatenate(of_share) for of_share in hits]))
+
+
+def at_share(seen: Descriptions, share: float) -> Float[np.ndarray, "n dim"]:
+    """Descriptors whose image half has the weight `share`, and the LiDAR half the rest."""
+    assert seen.image_half is not None
+    assert seen.lidar_half is not None
+    halves = [np.float32(share) * seen.image_half, np.float32(1.0 - share) * seen.lidar_half]
+    return np.concatenate(halves, axis=1)
+
+
+def _alpha(trained: Trained, label: str) -> dict[str, list[float]] | None:
+    """Mean weights over seeds and test worlds, and their spread over frames, (image, LiDAR)."""
+    protocol = trained.experiment.protocols[0]
+    summaries = []
+    for job in trained.rows[label]:
+        records = evaluate_model(
+            job.name, job.model, trained.exams, (protocol,), trained.cache, trained.out,
+            frozen=job.config.cache_branches,
+        )  # fmt: skip
+        summaries += [record["model"]["alpha"] for record in records[protocol]]
+    if summaries[0] is None:
+        return None
+    return {
+        name: np.mean([one["all"][name] for one in summaries], axis=0).tolist()
+        for name in ("mean", "std")
+    }
+
+
+def weighting_section(study: Mapping[str, Any]) -> list[str]:
+    """Fixed weights, then every row's gain over them and its weights."""
+    lines = ["", "## What fixed weights give on the same frozen branches", ""]
+    lines += ["| weights | recall@1 | minus equal weights |", "|---|---|---|"]
+    for name, one in study["unlearnt"].items():
+        lines.append(f"| {name} | {in_percent(one['recall'])} | {_gain(one['over equal'])} |")
+    shares = ", ".join(f"{share:.2f}" for share in study["best_share"])
+    lines += [
+        "",
+        f"Best shares of the image on validation, by seed: {shares}. The oracle chooses the best "
+        f"of {len(study['shares'])} shares for each query after the fact: a bound, no system.",
+        "",
+        "## What each row gains, and its weights",
+        "",
+        "| row | minus equal weights | minus best fixed share | alpha of image | of LiDAR |",
+        "|---|---|---|---|---|",
+    ]
+    for label, row in study["rows"].items():
+        cells = ["-", "-"]
+        if row["alpha"] is not None:
+            pairs = zip(row["alpha"]["mean"], row["alpha"]["std"], strict=True)
+            cells = [f"{mean:.3f} ± {std:.3f}" for mean, std in pairs]
+        lines.append(
+            f"| {label} | {_gain(row['over equal'])} | {_gain(row['over best'])} | "
+            + " | ".join(cells)
+            + " |"
+        )
+    return [*lines, "", "Weights: mean ± spread over the test frames, mean over seeds."]
+
+
+def _gain(verdict: Mapping[str, Any]) -> str:
+    return f"{in_percent(verdict['difference'], '+')} {verdict['verdict']}"
+
+
+def draw_weighting(results: Mapping[str, Any], path: Path) -> None:
+    """Write the figure: recall over the fixed share, and every row's gain over equal weights."""
+    study = results["study"]
+    gains = {label: row["over equal"]["difference"] for label, row in study["rows"].items()}
+    gains |= {name: study["unlearnt"][name]["over equal"]["difference"] for name in (BEST, ORACLE)}
+    with picture(path, results, 1.2 + 0.28 * len(gains)) as figure:
+        by_share, gained = figure.subplots(1, 2, width_ratios=(2, 3))
+        for key, word, style in (
+            ("recall_by_share", "test", "-"),
+            ("validation_by_share", "validation", "--"),
+        ):
+            by_share.plot(
+                study["shares"], 100 * np.array(study[key]), style, color=plots.INK, label=word
+            )
+        by_share.set_xlabel("fixed share of the image")
+        by_share.set_ylabel("recall@1 (%)")
+        by_share.legend()
+        for i, difference in enumerate(gains.values()):
+            gained.plot(100 * difference["value"], i, "o", color=plots.INK, markersize=4)
+            if difference["interval"] is not None:
+                low, high = difference["interval"]
+                gained.plot([100 * low, 100 * high], [i, i], color=plots.INK, linewidth=1.2)
+        gained.axvline(0.0, color=plots.FAINT, linewidth=1.0)
+        gained.set_yticks(range(len(gains)), list(gains))
+        gained.invert_yaxis()
+        gained.set_xlabel("recall@1 minus that of equal weights (points)")
+
+
+WEIGHTING = Study(measure=measure_weighting, section=weighting_section, draw=draw_weighting)
