@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from adafusion.config import identity
-from adafusion.experiments.catalogue import REMEDIES, build_experiment, packaged_recipe
+from adafusion.experiments.ablations import REMEDIES
+from adafusion.experiments.catalogue import build_experiment, packaged_recipe
 from adafusion.models import AdaFusion, ModelConfig, load_model, save_model
 from adafusion.models.adafusion import unit_scale
 from adafusion.preprocess import ImageSettings, Preprocess, VoxelGrid

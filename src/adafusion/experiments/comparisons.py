@@ -1,0 +1,223 @@
+# SPDX-FileCopyrightText: 2026 The adafusion authors
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's tables and figures: systems against each other.
+
+On two cores the branches are trained once a seed, and what fuses them starts from there; a
+one-sensor row goes on alone for the passes that the others spend together. Then nothing but the
+fusion tells VL from V and L, and nothing but the weights AdaFusion from VL.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from adafusion.experiments.plan import Experiment, Published, Recipe, Row, Training
+from adafusion.experiments.studies.cost import COST
+from adafusion.experiments.studies.idea import IDEA
+from adafusion.experiments.studies.recall import RECALL
+from adafusion.experiments.studies.weights import WEIGHTS
+from adafusion.models import efficientnet
+from adafusion.models.config import System
+from adafusion.training import TrainConfig, phases
+from adafusion.types import UserError
+
+TOGETHER = 0.1  # share of a staged row's passes after its branches were joined
+COARSE = 0.8  # share of the image branch's own passes at a quarter of the pixels (docs/adr/0004)
+
+ALL_PROTOCOLS = ("cross-run", "union", "pointnetvlad")
+AGAINST_EACH = (("AdaFusion", "VL"), ("AdaFusion", "V"), ("AdaFusion", "L"))
+
+
+def headline(recipe: Recipe, passes: int) -> Experiment:
+    """V, L, VL and AdaFusion from the same branches."""
+    return Experiment(
+        name="headline",
+        words="Each branch alone, both joined, and both weighed: does weighing gain?",
+        rows=staged_rows(recipe, passes),
+        protocols=ALL_PROTOCOLS,
+        seeds=(0, 1, 2),
+        verdicts=AGAINST_EACH,
+    )
+
+
+def figure_recall(recipe: Recipe, passes: int) -> Experiment:
+    """The headline's rows over the number of candidates."""
+    return Experiment(
+        name="figure-recall",
+        words="Recall@N for N = 1 to 25: is the gain of weighing larger at small N?",
+        rows=staged_rows(recipe, passes),
+        protocols=("cross-run",),
+        seeds=(0, 1, 2),
+        verdicts=AGAINST_EACH,
+        study=RECALL,
+    )
+
+
+def figure_weights(recipe: Recipe, passes: int) -> Experiment:
+    """The headline's AdaFusion where one sensor should be trusted more than elsewhere."""
+    return Experiment(
+        name="figure-weights",
+        words="Do the weights rise and fall where the paper says they do?",
+        rows=staged_rows(recipe, passes)[-1:],
+        protocols=("cross-run",),
+        seeds=(0, 1, 2),
+        study=WEIGHTS,
+    )
+
+
+def figure_idea(recipe: Recipe, passes: int) -> Experiment:
+    """The headline's AdaFusion, and how its weights differ between right and wrong matches."""
+    return Experiment(
+        name="figure-idea",
+        words="Do the weights of a query and a wrong match differ more than those of a query and "
+        "its true match?",
+        rows=staged_rows(recipe, passes)[-1:],
+        protocols=("cross-run",),
+        seeds=(0, 1, 2),
+        study=IDEA,
+    )
+
+
+def table_systems(recipe: Recipe, passes: int) -> Experiment:
+    """All systems of the paper's comparison at their small sizes.
+
+    And AdaFusion with an image branch from ImageNet, where its weights are installed.
+    """
+
+    def row(label: str, system: System, *numbers: float | None, guess: bool = False) -> Row:
+        training = Training(name=system, config=recipe(f"{system}-s"), passes=passes)
+        return Row(
+            label=label, training=training, published=Published(at_1=numbers[0],
+            at_1_percent=numbers[1]), reconstruction=guess,
+        )  # fmt: skip
+
+    _, _, concat, adafusion = staged_rows(recipe, passes)
+    rows: tuple[Row, ...] = (
+        row("NetVLAD", "netvlad", 51.52, 63.19),
+        row("PointNetVLAD", "pointnetvlad", 63.87, 81.29),
+        row("Oertel et al.", "oertel", 98.00, None, guess=True),
+        row("PIC-Net", "pic-net", None, 98.22, guess=True),
+        row("MinkLoc++", "minkloc", 96.70, 99.10),
+        row("CORAL", "coral", 88.93, 96.13),
+        replace(concat, label="VL-concat"),
+        adafusion,
+    )
+    scratch = "all trained from scratch"
+    left_out = ""
+    try:
+        efficientnet.weight_file(efficientnet.WEIGHTS)
+    except UserError as error:
+        left_out = f" AdaFusion-lite is left out: {error}."
+    else:
+        rows += (_lite_row(recipe, passes, adafusion),)
+        scratch = "all but AdaFusion-lite trained from scratch"
+    return Experiment(
+        name="table-systems",
+        words="Every system of the paper's comparison under the same protocols: a small size of "
+        f"each, {scratch}, each with its own input, loss, mining and optimiser.{left_out}",
+        rows=rows,
+        protocols=ALL_PROTOCOLS,
+        seeds=(0,),
+    )
+
+
+def _lite_row(recipe: Recipe, passes: int, adafusion: Row) -> Row:
+    """AdaFusion whose image branch starts from ImageNet, with the other's LiDAR branch.
+
+    Its image branch needs no images of a quarter of the pixels to begin with, and sees as many of
+    full size as the other's of both.
+    """
+    image, _, both = (phase.config for phase in phases(recipe("adafusion-lite-s"), Path()))
+    together = adafusion.training.passes
+    _, lidar = adafusion.training.starts_from
+    branch = Training(name="image-lite", config=image, passes=passes - together)
+    last = Training(
+        name="adafusion-lite-last", config=both, passes=together, starts_from=(branch, lidar)
+    )
+    return Row(label="AdaFusion-lite", training=last, pretrained=True)
+
+
+def staged_rows(recipe: Recipe, passes: int) -> tuple[Row, Row, Row, Row]:
+    """V, L, VL and AdaFusion, all from one image branch and one LiDAR branch."""
+    together = round(TOGETHER * passes)
+    coarse = round(COARSE * (passes - together))
+    image = Training(
+        name="image",
+        config=recipe("image-s"),
+        passes=passes - together - coarse,
+        starts_from=(
+            Training(name="image-coarse", config=recipe("image-s-coarse"), passes=coarse),
+        ),
+    )
+    lidar = Training(name="lidar", config=recipe("lidar-s"), passes=passes - together)
+
+    def last(system: System, config: TrainConfig, *branches: Training) -> Training:
+        return Training(name=f"{system}-last", config=config, passes=together, starts_from=branches)
+
+    def alone(system: System, branch: Training) -> Training:
+        config = recipe("adafusion-s")
+        model = replace(config.model, system=system)
+        return last(system, replace(config, model=model, balance=False), branch)
+
+    return (
+        Row(label="V", training=alone("image", image), published=Published(at_1=87.68,
+            at_1_percent=None)),
+        Row(label="L", training=alone("lidar", lidar), published=Published(at_1=93.12,
+            at_1_percent=None)),
+        Row(label="VL", training=last("concat", recipe("concat-s"), image, lidar),
+            published=Published(at_1=97.10, at_1_percent=None)),
+        Row(label="AdaFusion", training=last("adafusion", recipe("adafusion-s"), image, lidar),
+            published=Published(at_1=98.18, at_1_percent=99.21)),
+    )  # fmt: skip
+
+
+# the paper's Table III, AR@1 on Oxford RobotCar in percent
+PUBLISHED_BY_DIM = {
+    "V": {128: 83.57, 192: 86.87, 256: 87.68, 512: 88.91},
+    "L": {128: 89.47, 192: 91.45, 256: 93.12, 512: 93.27},
+    "VL": {128: 96.35, 192: 96.59, 256: 97.10, 512: 97.32},
+    "AdaFusion": {128: 97.42, 192: 97.72, 256: 98.18, 512: 98.24},
+}
+
+
+def table_dimensions(recipe: Recipe, passes: int) -> Experiment:
+    """What weighing gains at two lengths of the descriptor."""
+    return _by_dimension("table-dimensions", recipe, passes, (128, 256), ("VL", "AdaFusion"))
+
+
+def table_dimensions_full(recipe: Recipe, passes: int) -> Experiment:
+    """The paper's Table III whole, for a GPU."""
+    lengths = tuple(PUBLISHED_BY_DIM["V"])
+    return _by_dimension("table-dimensions-full", recipe, passes, lengths, tuple(PUBLISHED_BY_DIM))
+
+
+def _by_dimension(
+    name: str, recipe: Recipe, passes: int, lengths: tuple[int, ...], systems: tuple[str, ...]
+) -> Experiment:
+    def of_length(dim: int) -> Recipe:
+        def changed(training: str) -> TrainConfig:
+            config = recipe(training)
+            return replace(config, model=replace(config.model, dim=dim))
+
+        return changed
+
+    rows = tuple(
+        replace(
+            row,
+            label=f"{row.label} D-{dim}",
+            published=Published(at_1=PUBLISHED_BY_DIM[row.label][dim], at_1_percent=None),
+        )
+        for dim in lengths
+        for row in staged_rows(of_length(dim), passes)
+        if row.label in systems
+    )
+    return Experiment(
+        name=name,
+        words="What does weighing gain at each length of the descriptor, and what does it cost?",
+        rows=rows,
+        protocols=("cross-run",),
+        seeds=(0, 1, 2),
+        verdicts=tuple((f"AdaFusion D-{dim}", f"VL D-{dim}") for dim in lengths),
+        study=COST,
+    )
