@@ -36,10 +36,10 @@ from adafusion.models.adafusion import unit_scale
 from adafusion.preprocess.cache import PreparedSet, prepare_cache
 from adafusion.training import TrainConfig, build_model
 from adafusion.training.corpus import Corpus
-from adafusion.training.loop import balance_branches
 from adafusion.training.objective import batch_loss
 from adafusion.training.sampler import Sampler
 from adafusion.training.settings import Loss, Sampling
+from adafusion.training.start import balance_branches
 
 BUDGET = 160
 TINY = (

@@ -22,9 +22,9 @@ from adafusion.models import AdaFusion, ModelConfig, describe, load_model, read_
 from adafusion.preprocess.cache import PreparedSet, prepare_cache
 from adafusion.training import TrainConfig, build_model, phases, train
 from adafusion.training.checkpoint import STATE_FILE
-from adafusion.training.loop import balance_branches
 from adafusion.training.pairs import find_pairs, place_batches
 from adafusion.training.settings import Augment, Loss, Optimiser, Sampling
+from adafusion.training.start import balance_branches
 from adafusion.types import JobFailed, UserError
 
 CHILD = """

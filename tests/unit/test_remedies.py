@@ -17,8 +17,9 @@ from adafusion.models import AdaFusion, ModelConfig, load_model, save_model
 from adafusion.models.adafusion import unit_scale
 from adafusion.preprocess import ImageSettings, Preprocess, VoxelGrid
 from adafusion.training import TrainConfig, build_model
-from adafusion.training.loop import _optimizer, take_branches
+from adafusion.training.optimiser import build_optimizer
 from adafusion.training.settings import Optimiser
+from adafusion.training.start import take_branches
 
 TINY = ModelConfig(
     width=0.125,
@@ -111,7 +112,7 @@ def test_networks_learn_at_their_own_rates_in_the_order_that_checkpoints_have(
 ) -> None:
     model = build()
     settings = Optimiser(learning_rate=0.5, image_share=image_share, weights_share=weights_share)
-    found = _optimizer(settings, model).param_groups
+    found = build_optimizer(settings, model).param_groups
     assert [group["lr"] for group in found] == [0.5 * share for _, share in groups]
     own = tuple(net for net, _ in groups if net)
     everything = [name for name, _ in model.named_parameters()]
@@ -126,7 +127,7 @@ def test_networks_learn_at_their_own_rates_in_the_order_that_checkpoints_have(
 def test_frozen_branches_leave_the_weight_branch_as_the_only_one_that_learns() -> None:
     model = build()
     model.freeze_backbones()
-    (group,) = _optimizer(Optimiser(weights_share=2.0, learning_rate=0.1), model).param_groups
+    (group,) = build_optimizer(Optimiser(weights_share=2.0, learning_rate=0.1), model).param_groups
     assert all(name.startswith("weight_net.") for name in names(model, group["params"]))
     assert group["lr"] == 0.2
 

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training: who is a true and a wrong match, what a training is, and the loop."""
 
-from adafusion.training.loop import Step, build_model, folded, train, untrained_twin
+from adafusion.training.loop import Step, train
 from adafusion.training.settings import Phase, TrainConfig, phases
+from adafusion.training.start import build_model, folded, untrained_twin
 
 __all__ = [
     "Phase",

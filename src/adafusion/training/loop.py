@@ -11,44 +11,31 @@ resumed does what the uninterrupted one would have done.
 
 from __future__ import annotations
 
-import copy
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor, nn
 
 from adafusion.files import fingerprint
-from adafusion.losses import pair_distance
 from adafusion.models import (
     AdaFusion,
     PlaceModel,
-    build_system,
     describe,
     load_model,
     prepared_batches,
     save_model,
     use_channels_last,
 )
-from adafusion.models.backbones import add_norms, fold_norms
 from adafusion.models.frozen import FrozenSet, FusionOnly, freeze
-from adafusion.preprocess.augment import (
-    augment_points,
-    blank_sensors,
-    color_jitter,
-    erase_boxes,
-    hue_jitter,
-    jitter_points,
-)
 from adafusion.preprocess.cache import PreparedSet
-from adafusion.preprocess.image import from_unit, to_unit
 from adafusion.training.checkpoint import (
     claim,
     keep_described,
@@ -56,17 +43,18 @@ from adafusion.training.checkpoint import (
     restore_described,
     save_checkpoint,
 )
+from adafusion.training.inputs import Points, batch_inputs
 from adafusion.training.objective import batch_loss, most_active
-from adafusion.training.pairs import Batch
+from adafusion.training.optimiser import build_optimizer, build_scheduler
 from adafusion.training.ranks import ALONE, Ranks
 from adafusion.training.sampler import Sampler
-from adafusion.training.settings import Augment, Loss, Optimiser, TrainConfig
-from adafusion.types import JobFailed, UserError
+from adafusion.training.settings import TrainConfig
+from adafusion.training.start import balance_branches, build_model, folded
+from adafusion.types import JobFailed
 
 log = logging.getLogger(__name__)
 
 Validate = Callable[[PlaceModel], Mapping[str, float]]
-Points = Callable[[int], Float[np.ndarray, "n 3"]]
 
 MODEL_FILE = "model.safetensors"  # the best on validation or the last, ready to use
 SELECTED_BY = "recall@1"
@@ -156,8 +144,8 @@ def train(
     if config.balance and not resume and isinstance(model, AdaFusion):
         first = sampler.batches(0, BALANCE_BATCHES)
         balance_branches(model, data, first, config.loss, weighted=not config.cache_branches)
-    optimizer = _optimizer(config.optimiser, model)
-    scheduler = _scheduler(config, optimizer, lambda: (gone(), length))
+    optimizer = build_optimizer(config.optimiser, model)
+    scheduler = build_scheduler(config, optimizer, lambda: (gone(), length))
     network: nn.Module = FusionOnly(model) if config.cache_branches else model
     wrapped, optimizer = fabric.setup(use_channels_last(network), optimizer)
     same = {"data": _data_fingerprint(data, rows), "precision": precision}
@@ -230,7 +218,7 @@ def train(
         key, part = (config.seed, done), ranks.part(len(batch.rows))
         inputs: tuple[Tensor | None, ...]
         if frozen is None:
-            inputs = _inputs(model, data, batch, config.augment, points, key, part)
+            inputs = batch_inputs(model, data, batch, config.augment, points, key, part)
         else:
             inputs = frozen.tensors(batch.rows[part])
         waited = time.perf_counter() - start
@@ -282,203 +270,6 @@ def train(
         )
 
 
-def build_model(config: TrainConfig) -> PlaceModel:
-    """Build the network that a training starts from, as a function of the configuration alone."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        model = build_system(config.model)
-    if config.initialisation == "he":
-        model.initialise(torch.Generator().manual_seed(config.seed))
-    if config.imagenet is not None:
-        model.load_imagenet(config.imagenet)
-    for file in config.init:
-        take_branches(model, load_model(file), with_weights=config.take_weights)
-    if config.norms:
-        for net in model.backbones:
-            add_norms(net)
-    if config.stage == "weights" and isinstance(model, AdaFusion):
-        model.freeze_backbones()
-    return model
-
-
-def untrained_twin(model: PlaceModel, seed: int = 0) -> PlaceModel:
-    """The network that a training of this model would start from: what training has to beat."""
-    twin = build_model(TrainConfig(model=model.config, norms=False, seed=seed)).eval()
-    twin.name = f"{model.name}, untrained"
-    return twin
-
-
-def take_branches(model: PlaceModel, source: PlaceModel, *, with_weights: bool = False) -> None:
-    """Copy the branches that `source` has into `model`; its weight branch only where asked to."""
-    for name in ("image_net", "voxel_net", *(["weight_net"] if with_weights else [])):
-        ours, theirs = getattr(model, name, None), getattr(source, name, None)
-        if ours is None or theirs is None:
-            continue
-        try:
-            ours.load_state_dict(theirs.state_dict())
-        except RuntimeError as error:
-            raise UserError(
-                f"the {name} of {source.name} is of another size than this training's: {error}"
-            ) from error
-
-
-def folded(model: PlaceModel) -> PlaceModel:
-    """Copy a network in training as the paper's network that it computes in eval mode."""
-    model = copy.deepcopy(model).eval()
-    for net in model.backbones:
-        fold_norms(net)
-    return model
-
-
-@torch.inference_mode()
-def balance_branches(
-    model: AdaFusion,
-    data: PreparedSet,
-    batches: Iterable[Batch],
-    loss: Loss,
-    *,
-    weighted: bool = True,
-) -> None:
-    """Scale each branch so that the distances of its half lie around the margin.
-
-    A branch trained by a cosine has no scale, and one trained alone has its own; joined as they
-    are, the longer half would drown the other and the margin would first have to undo that. The
-    middle between true and wrong pairs' mean L1 distance comes to lie at the margin for a half,
-    divided by the weight that the model gives the half now (about 0.5 before the weights learn).
-    Scaling the last batch norm scales the feature, and with it the deepest stage that the weight
-    branch reads, which has not learnt anything yet. Without `weighted` that division is left out,
-    and branches come out the same whatever is to fuse them.
-    """
-    model.eval()
-    scaled = copy.copy(model)  # the same layers, whose halves keep the scale that is measured
-    scaled.config = replace(model.config, normalise_halves=False)
-    described = [
-        (scaled(*_inputs(model, data, batch, Augment(color=0.0), None, (0, 0))), batch)
-        for batch in batches
-    ]
-    for i, (part, net) in enumerate(
-        (("image_half", model.image_net), ("lidar_half", model.voxel_net))
-    ):
-        if net is None:
-            continue
-        middles, weights = [], []
-        for description, batch in described:
-            half = getattr(description, part)
-            distance = pair_distance(half, torch.from_numpy(batch.pair).to(half.device))
-            is_positive = torch.from_numpy(batch.is_positive).to(half.device)
-            middles.append(0.5 * (distance[is_positive].mean() + distance[~is_positive].mean()))
-            alpha = description.alpha if weighted else None
-            weights.append(1.0 if alpha is None else alpha[:, i].mean())
-        margin, _ = loss.margins(model.config.dim // 2)
-        factor = margin / float(sum(middles) / len(middles)) / float(sum(weights) / len(weights))
-        net.scale(factor)
-        log.info("%s scaled by %.3f to the margin", part, factor)
-
-
-def _inputs(
-    model: PlaceModel,
-    data: PreparedSet,
-    batch: Batch,
-    augment: Augment,
-    points: Points | None,
-    key: tuple[int, int],
-    part: slice = slice(None),
-) -> tuple[Tensor | None, Tensor | None]:
-    """The augmented tensors of a batch, only those that the system looks at.
-
-    Those of a `part` are what they would be among the whole batch.
-    """
-    rows, among = batch.rows[part], (len(batch.rows), part)
-    image = lidar = None
-    if "image" in model.sensors:
-        image = to_unit(data.images_u8(rows))
-        if c := augment.color:
-            generator = _generator(*key)
-            image = color_jitter(
-                image, generator, brightness=c, contrast=c, saturation=c, among=among
-            )
-        if augment.hue:
-            image = hue_jitter(image, _generator(*key, 3), augment.hue, among)
-        if augment.erase:
-            image = erase_boxes(image, _generator(*key, 4), augment.erase, among)
-    if "lidar" in model.sensors:
-        if points is not None and augment.jitter_m:
-            rng = np.random.default_rng(key)
-            clouds = (points(int(row)) for row in batch.rows)
-            lidar = torch.stack(
-                [
-                    data.settings.lidar_tensor(
-                        jitter_points(cloud, rng, augment.jitter_m, augment.jitter_clip_m)
-                    )
-                    for cloud in clouds
-                ][part]
-            )
-        else:
-            lidar = data.lidar(rows)
-        if augment.points and data.settings.lidar == "points":
-            lidar = augment_points(lidar, _generator(*key, 2), among)
-        if lidar.ndim == 5:
-            lidar = lidar.contiguous(memory_format=torch.channels_last_3d)
-    if image is not None and lidar is not None and augment.blank:
-        blank_sensors(image, lidar, augment.blank, np.random.default_rng((*key, 1)), among)
-    if image is not None:
-        image = from_unit(image, data.settings.image)
-        image = image.contiguous(memory_format=torch.channels_last)
-    return image, lidar
-
-
-def _generator(*key: int) -> torch.Generator:
-    return torch.Generator().manual_seed(int(np.random.SeedSequence(key).generate_state(1)[0]))
-
-
 def _data_fingerprint(data: PreparedSet, rows: Int[np.ndarray, " n"]) -> str:
     """Identity of the frames trained on, in their order."""
     return fingerprint(*(part.folder.name for part in data.parts), rows.tobytes())
-
-
-def _optimizer(settings: Optimiser, model: PlaceModel) -> torch.optim.Optimizer:
-    """What moves the parameters that may move; image network and weight branch at their rates."""
-    image, rest, weights = [], [], []  # an optimiser's state is kept in this order
-    for name, p in model.named_parameters():
-        if not p.requires_grad:
-            continue
-        if settings.image_share != 1.0 and name.startswith("image_net."):
-            image.append(p)
-        elif settings.weights_share != 1.0 and name.startswith("weight_net."):
-            weights.append(p)
-        else:
-            rest.append(p)
-    rate = settings.learning_rate
-    groups: list[dict[str, Any]] = [
-        {"params": image, "lr": settings.image_share * rate},
-        {"params": rest, "lr": rate},
-        {"params": weights, "lr": settings.weights_share * rate},
-    ]
-    groups = [group for group in groups if group["params"]]
-    decay = settings.weight_decay
-    if settings.kind == "sgd":
-        return torch.optim.SGD(groups, momentum=settings.momentum, weight_decay=decay)
-    return torch.optim.Adam(groups, weight_decay=decay, amsgrad=settings.amsgrad)
-
-
-def _scheduler(
-    config: TrainConfig,
-    optimizer: torch.optim.Optimizer,
-    progress: Callable[[], tuple[int, int]],
-) -> Any:
-    """What lets the rate fall; `progress` says how much of the training is behind, and of what."""
-    o = config.optimiser
-    if o.schedule == "plateau":
-        return torch.optim.lr_scheduler.ReduceLROnPlateau(
-            optimizer, mode="max", factor=o.factor, patience=o.patience
-        )
-
-    def share(batch: int) -> float:
-        gone, length = progress()
-        if o.schedule == "step":
-            falls = sum(gone >= at * length for at in o.milestones)
-            return max(o.floor, o.factor ** (falls if o.milestones else gone * o.steps // length))
-        rise = min(1.0, (batch + 1) / max(1, o.warmup))
-        return rise * 0.5 * (1.0 + math.cos(math.pi * min(1.0, gone / length)))
-
-    return torch.optim.lr_scheduler.LambdaLR(optimizer, share)
