@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trainings that take turns in one process, and what each batch of them took.
 
-Time is taken in the training loop itself and not in a copy of it: `Step` says how long a batch took
-and how long it waited for its frames, the rest of `next` is the sampler's.
+Time is taken around the training loop itself and not in a copy of it: `Step` says how long a batch
+waited for its frames to be drawn, read and augmented.
 """
 
 from __future__ import annotations
@@ -92,8 +92,7 @@ def timed_batches(case: Case, out: Path, accelerator: str) -> Iterator[tuple[flo
         began = time.perf_counter()
         step = next(steps)
         seconds = time.perf_counter() - began
-        drawing = seconds - step.seconds  # which the loop does not count
-        yield seconds, drawing + step.waited, step.frames, len(batch.pair)
+        yield seconds, step.waited, step.frames, len(batch.pair)
 
 
 def table(timings: Mapping[str, Timing], base: Callable[[str], str]) -> list[str]:

@@ -163,6 +163,16 @@ def test_a_training_is_known_by_its_content_wherever_it_lies(branch) -> None:
     assert branch("a").key != branch("a", changes=(*TINY, "augment.color=0")).key
 
 
+def test_rows_that_changes_make_equal_share_one_training(corpus: Corpus, tmp_path: Path) -> None:
+    recipe = partial(packaged_recipe, changes=(*TINY, "augment.color=0"))
+    experiment = build_experiment("ablation-input", recipe, BUDGET).only(
+        ["V", "V no colour jitter"]
+    )
+    rows = plan_jobs(experiment, [0], corpus, tmp_path)
+    assert rows["V"] == rows["V no colour jitter"]
+    assert all_jobs(rows) == list(rows["V"])
+
+
 @pytest.mark.parametrize(
     "sampling",
     [

@@ -23,7 +23,7 @@ from adafusion.preprocess.cache import PreparedSet, prepare_cache
 from adafusion.training import TrainConfig, build_model, phases, train
 from adafusion.training.checkpoint import STATE_FILE
 from adafusion.training.pairs import find_pairs, place_batches
-from adafusion.training.settings import Augment, Loss, Optimiser, Sampling
+from adafusion.training.settings import Augment, Loss, Mining, Optimiser, Sampling
 from adafusion.training.start import balance_branches
 from adafusion.types import JobFailed, UserError
 
@@ -92,6 +92,17 @@ def test_every_system_trains_by_either_sampling(
     assert model.config.system == system
     paper = sum(p.numel() for p in AdaFusion(config.model).parameters())
     assert sum(p.numel() for p in model.parameters()) == paper, "the norms must be folded away"
+
+
+def test_the_card_counts_only_the_mining_that_was_done(
+    config: TrainConfig, data: PreparedSet, tmp_path: Path
+) -> None:
+    mining = Mining(after=2, every=2, candidates=20, hardest=4)  # after two batches, not after all
+    sampling = Sampling(mode="pairs", items=4, mining=mining)
+    run(replace(config, sampling=sampling, batches=4, keep="last"), data, tmp_path)
+    assert [path.name for path in tmp_path.glob("described-*")] == ["described-2.npy"]
+    _, card = read_header(tmp_path / "model.safetensors")
+    assert card["mining_passes"] == len(data)
 
 
 @pytest.mark.slow

@@ -151,6 +151,8 @@ def test_rows_are_chosen_by_label_and_a_wrong_one_is_answered_with_the_choices()
         ("rain->night-reverse-2", {"with night", "with rain", "opposite directions"}),
         ("dusk-reverse->night-reverse", {"with night", "with dusk"}),
         ("day+autumn", {"none of these"}),
+        ("train-1->train-2", {"none of these"}),
+        ("2012-rain2->2013", {"with rain"}),
     ],
 )
 def test_pairs_of_runs_are_told_apart_by_their_names(name: str, kinds: set[str]) -> None:

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from adafusion.experiments.convergence import half_width, still_rising, why_not_ranked
-from adafusion.experiments.verdict import Asked, estimate, judge_difference, widening
+from adafusion.experiments.verdict import (
+    Asked,
+    by_seed,
+    estimate,
+    estimate_share,
+    judge_difference,
+    widening,
+)
 
 BLOCKS, SPLITS, EACH = 40, 6, 4
 
@@ -98,6 +105,29 @@ def test_places_are_drawn_within_worlds() -> None:
 def test_where_a_world_is_one_block_its_interval_is_unknown() -> None:
     found = estimate(np.ones((3, SPLITS * EACH), np.int64), asked(num_blocks=1))
     assert (found.value, found.interval) == (1.0, None)
+
+
+def test_a_share_stays_one_however_far_its_interval_is_widened() -> None:
+    right = answers(0.9, seeds=3, of=1)
+    right[0] = 0
+    wide = estimate(right, asked()).interval
+    assert wide is not None
+    assert wide[0] < 0 < 1 < wide[1]
+    assert estimate_share(right, asked()).interval == (0.0, 1.0)
+    assert estimate_share(right, asked()).value == estimate(right, asked()).value
+
+
+def test_the_value_is_the_mean_of_the_seeds_recalls_over_worlds_of_any_size() -> None:
+    """One world of six splits, one of a single split: a split counts as much in either."""
+    one, two = asked(4, world=0), asked(4, world=1)
+    at = Asked(
+        np.concatenate([one.split, np.full(len(two.split), SPLITS)]),
+        np.concatenate([one.block, 4 + two.block]),
+        np.concatenate([one.world, two.world]),
+    )
+    right = np.stack([np.repeat([a, b], len(one.split)) for a, b in ((1, 0), (0, 1))])
+    assert by_seed(right, at) == pytest.approx([6 / 7, 1 / 7])
+    assert estimate(right, at).value == pytest.approx(np.mean(by_seed(right, at)))
 
 
 def test_few_seeds_are_widened_more() -> None:

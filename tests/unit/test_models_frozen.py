@@ -101,8 +101,9 @@ def test_one_stage_is_what_the_plain_form_gives(levels: int) -> None:
         assert torch.allclose(ours, plain, atol=1e-5)
 
 
-def test_attended_features_are_what_the_plain_form_gives() -> None:
-    model = build(attend_features=True)
+@pytest.mark.parametrize("change", [{}, {"normalise_halves": True}, {"unit_length": True}])
+def test_attended_features_are_what_the_plain_form_gives(change: dict[str, object]) -> None:
+    model = build(attend_features=True, **change)
     for ours, plain in zip(model(*inputs()), plain_forward(model, *inputs()), strict=True):
         assert torch.allclose(ours, plain, atol=1e-5)
 

@@ -153,6 +153,20 @@ def test_weights_are_taken_over_only_where_asked_to(tmp_path: Path) -> None:
     assert not torch.equal(fresh.weight_net.head[0].weight, source.weight_net.head[0].weight)
 
 
+@pytest.mark.parametrize("change", [{"fusion": "linear"}, {"attend_features": True}])
+def test_whatever_fuses_the_branches_is_taken_over_with_the_weights(
+    tmp_path: Path, change: dict
+) -> None:
+    source = build(seed=3, **change)
+    for parameter in source.parameters():
+        torch.nn.init.normal_(parameter)
+    file = tmp_path / "model.safetensors"
+    save_model(source, file)
+    config = TrainConfig(model=source.config, norms=False, init=(str(file),), take_weights=True)
+    for key, value in build_model(config).state_dict().items():
+        assert torch.equal(value, source.state_dict()[key]), key
+
+
 @pytest.mark.parametrize(
     "change", [{"init": (), "schedule": "joint"}, {"model": replace(TINY, system="concat")}]
 )

@@ -150,6 +150,18 @@ def test_weights_that_know_nothing_of_the_place_are_undecided(
         assert comparison["readings"]["both"]["wrong_minus_true"]["verdict"] == "undecided"
 
 
+def test_a_share_of_queries_stays_one_where_seeds_disagree(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = np.tile(np.arange(PLACES), 2) / PLACES
+    flat = np.full(2 * PLACES, 0.3)
+    alphas = [np.column_stack([image, flat]) for image in (place, place, flat)]
+    study = measure_idea(trained(tmp_path, monkeypatch, alphas))
+    share = study["comparisons"]["nearest"]["readings"]["image"]["share"]
+    assert share["value"] == pytest.approx(2 / 3)
+    assert share["interval"] == (0.0, 1.0)
+
+
 def test_a_row_that_had_not_converged_gets_no_word(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

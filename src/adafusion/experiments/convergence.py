@@ -43,8 +43,12 @@ def still_rising(curve: Sequence[float], num_answers: int) -> bool:
     the ranking; where it is too wide a row that had not would be ranked, so the narrow one is
     taken. With fewer than four evaluations nothing shows the end, and the answer is yes.
     """
-    late = len(curve) // 4
     if len(curve) < LEAST:
         return True
-    before = max(curve[:-late])
-    return max(curve[-late:]) - before > half_width(before, num_answers)
+    before = best_before(curve)
+    return max(curve) - before > half_width(before, num_answers)
+
+
+def best_before(curve: Sequence[float]) -> float:
+    """The best of all evaluations but the last quarter."""
+    return max(curve[: len(curve) - len(curve) // 4])

@@ -89,9 +89,10 @@ Rows = Mapping[str, tuple[Job, ...]]  # by label, one job a seed
 
 
 def plan_jobs(experiment: Experiment, seeds: Sequence[int], corpus: Corpus, out: Path) -> Rows:
-    """Decide every training of the rows."""
+    """Decide every training of the rows; equal ones are one, under the first one's name."""
     out = out.resolve()  # a training keeps the paths that it starts from
     batches: dict[tuple[object, int], int] = {}
+    decided: dict[str, Job] = {}
 
     def job(training: Training, seed: int) -> Job:
         sources = tuple(job(source, seed) for source in training.starts_from)
@@ -114,7 +115,7 @@ def plan_jobs(experiment: Experiment, seeds: Sequence[int], corpus: Corpus, out:
         )
         named = replace(config, init=tuple(source.key for source in sources))
         key = fingerprint(f"training {TRAINING_VERSION}", identity(named), corpus.fingerprint)
-        return Job(
+        planned = Job(
             name=f"{training.name}, seed {seed}",
             key=key,
             config=config,
@@ -122,6 +123,7 @@ def plan_jobs(experiment: Experiment, seeds: Sequence[int], corpus: Corpus, out:
             sources=sources,
             folder=out / "trainings" / f"{training.name}-seed{seed}-{key}",
         )
+        return decided.setdefault(key, planned)
 
     return {row.label: tuple(job(row.training, seed) for seed in seeds) for row in experiment.rows}
 

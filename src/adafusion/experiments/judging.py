@@ -123,7 +123,12 @@ def ask(worlds: Sequence[ExamData], protocol: str) -> Questions:
 def pair_kinds(split_name: str) -> frozenset[str]:
     """What tells a pair of runs apart, by the runs' names: "day->night-reverse"."""
     runs = re.split(r"->|\+", split_name)
-    kinds = {f"with {word}" for word in CONDITIONS if any(word in run for run in runs)}
+    begun = [rf"(?<![a-z]){word}" for word in CONDITIONS]  # a word's own begin: no rain in train
+    kinds = {
+        f"with {word}"
+        for word, begin in zip(CONDITIONS, begun, strict=True)
+        if any(re.search(begin, run) for run in runs)
+    }
     if len({"reverse" in run for run in runs}) > 1:
         kinds.add(OPPOSITE)
     return frozenset(kinds or {PLAIN})
@@ -191,6 +196,26 @@ def answerable_of(
     """The queries that have a true match, and their mask: the same for every model."""
     answerable = seeds[0].first_hit > 0
     return questions.asked.where(answerable), answerable
+
+
+def pooled_alpha(records: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]] | None:
+    """Weights over the frames of all worlds, by zone and of "all"; None for a model without."""
+    summaries = [record["model"]["alpha"] for record in records]
+    if len(summaries) == 1 or summaries[0] is None:
+        return summaries[0]
+    pooled = {}
+    for name in dict.fromkeys(name for summary in summaries for name in summary):
+        parts = [summary[name] for summary in summaries if name in summary]
+        count = np.array([part["num_frames"] for part in parts])
+        mean, std = (np.array([part[key] for part in parts]) for key in ("mean", "std"))
+        middle = np.average(mean, axis=0, weights=count)
+        spread = np.sqrt(np.average(std**2 + (mean - middle) ** 2, axis=0, weights=count))
+        pooled[name] = {
+            "num_frames": int(count.sum()),
+            "mean": middle.tolist(),
+            "std": spread.tolist(),
+        }
+    return pooled
 
 
 def describe_frames(

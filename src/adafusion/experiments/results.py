@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Int64
 
 from adafusion.evaluation import describe_protocol
 from adafusion.experiments.budget import validation_answers
-from adafusion.experiments.convergence import half_width, why_not_ranked
+from adafusion.experiments.convergence import best_before, half_width, why_not_ranked
 from adafusion.experiments.jobs import (
     Job,
     Rows,
@@ -34,13 +35,21 @@ from adafusion.experiments.judging import (
     answers,
     ask,
     evaluate_model,
+    pooled_alpha,
 )
 from adafusion.experiments.plan import Experiment, Row
 from adafusion.experiments.study import Trained
-from adafusion.experiments.verdict import DRAWS, estimate, judge_difference, plain_verdict
+from adafusion.experiments.verdict import (
+    DRAWS,
+    Asked,
+    by_seed,
+    estimate_share,
+    judge_difference,
+    plain_verdict,
+)
 from adafusion.provenance import git_commit, software_versions
 from adafusion.training.corpus import Corpus
-from adafusion.types import Estimate, Progress, silent
+from adafusion.types import Progress, silent
 
 SCHEMA = 1
 TABLE = ("AR@1", "AR@5", "AR@1%")
@@ -89,23 +98,21 @@ def measure(
         first = records[0][protocols[0]][0]
         recall = {
             protocol: {
-                name: asdict(_recall(given[protocol], questions[protocol], values))
+                name: asdict(estimate_share(*_hits(given[protocol], questions[protocol], values)))
                 for name, values in _measures(protocol == protocols[0]).items()
             }
             for protocol in protocols
         }
-        by_seed = [
-            float(np.mean([world["recall"]["AR@1"]["value"] for world in record[protocols[0]]]))
-            for record in records
-        ]
         table.append(
             {
                 **_row(row, jobs, num_answers),
                 "parameters": first["model"]["parameters"],
                 "models": [record[protocols[0]][0]["model"]["fingerprint"] for record in records],
-                "alpha": [record[protocols[0]][0]["model"]["alpha"] for record in records],
+                "alpha": [pooled_alpha(record[protocols[0]]) for record in records],
                 "recall": recall,
-                "recall@1_by_seed": by_seed,
+                "recall@1_by_seed": by_seed(
+                    *_hits(said[row.label], questions[protocols[0]], _within(1))
+                ),
             }
         )
     trained = Trained(
@@ -157,13 +164,12 @@ def _within(n: int | None) -> Values:
     return lambda said: said.hits(n)
 
 
-def _recall(seeds: Sequence[Answers], questions: Questions, values: Values) -> Estimate:
+def _hits(
+    seeds: Sequence[Answers], questions: Questions, values: Values
+) -> tuple[Int64[np.ndarray, "seed q"], Asked]:
+    """The values of each seed's answers to the queries that have a true match, and where."""
     asked, answerable = answerable_of(seeds, questions)
-    found = estimate(np.stack([values(one)[answerable] for one in seeds]), asked)
-    if found.interval is None:
-        return found
-    low, high = found.interval  # widened ones may leave what a recall can be
-    return Estimate(found.value, (max(low, 0.0), min(high, 1.0)))
+    return np.stack([values(one)[answerable] for one in seeds]), asked
 
 
 def _row(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
@@ -184,7 +190,7 @@ def _row(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
         "converged": not why_not,
         "why_not_ranked": why_not,
         "validation_curve": curve,
-        "rising_by_more_than": half_width(max(curve), num_answers),
+        "rising_by_more_than": half_width(best_before(curve), num_answers),
     }
 
 

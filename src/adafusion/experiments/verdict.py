@@ -85,6 +85,20 @@ def estimate(
     return Estimate(value, percentile_interval(draws))
 
 
+def estimate_share(values: Real[np.ndarray, "seed q"], asked: Asked) -> Estimate:
+    """As `estimate`, of values between 0 and 1, which a widened interval might leave."""
+    found = estimate(values, asked)
+    if found.interval is None:
+        return found
+    low, high = found.interval
+    return Estimate(found.value, (max(low, 0.0), min(high, 1.0)))
+
+
+def by_seed(values: Real[np.ndarray, "seed q"], asked: Asked) -> list[float]:
+    """What `estimate` takes the mean of: the mean over splits of each seed."""
+    return _recalls(values, asked, 0, 0)[0].tolist()
+
+
 def judge_difference(
     ours: Real[np.ndarray, "seed q"],
     theirs: Real[np.ndarray, "seed q"],
@@ -100,8 +114,7 @@ def judge_difference(
     if difference.interval is not None and len(gain) > 1:
         low, high = difference.interval
         word = "above" if low > 0 else "below" if high < 0 else "undecided"
-    by_seed = _recalls(gain, asked, seed, 0)[0]
-    return Verdict(word, difference, tuple(by_seed.tolist()), gain.shape[1])
+    return Verdict(word, difference, tuple(by_seed(gain, asked)), gain.shape[1])
 
 
 def plain_verdict(verdict: Verdict, *, ranked: bool) -> dict[str, Any]:

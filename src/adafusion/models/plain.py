@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from adafusion.models.adafusion import AdaFusion, MultiScaleAttention
+from adafusion.models.adafusion import AdaFusion, MultiScaleAttention, unit_scale
 from adafusion.models.attention import KEY_CHANNELS, ChannelAttention, SpatialAttention
 from adafusion.models.config import LEVELS
 from adafusion.types import Description
@@ -35,7 +35,11 @@ def plain_forward(
     alpha = model.weight_net.head(torch.cat([a_I, a_P], dim=1)).sigmoid()
     if model.image_add is not None and model.voxel_add is not None:
         f_I, f_P = f_I + model.image_add(a_I), f_P + model.voxel_add(a_P)
+    if model.config.normalise_halves:
+        f_I, f_P = unit_scale(f_I), unit_scale(f_P)
     fused = torch.cat([alpha[:, :1] * f_I, alpha[:, 1:] * f_P], dim=1)
+    if model.config.unit_length:
+        fused = F.normalize(fused, dim=1)
     return Description(fused, f_I, f_P, alpha)
 
 

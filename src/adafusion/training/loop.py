@@ -189,7 +189,7 @@ def train(
                     ],
                     "batches": done,
                     "frame_passes": passes,
-                    "mining_passes": len(rows) * (0 if mining is None else mining.times(done)),
+                    "mining_passes": 0 if mining is None else len(rows) * mining.times(done - 1),
                     "validation": dict(values),
                 },
             )

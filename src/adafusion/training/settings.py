@@ -243,7 +243,7 @@ class TrainConfig:
     imagenet: str | None = None  # weights for the image network: a file, or efficientnet-lite0
     norms: bool = True  # batch norm after every convolution, folded away in what is saved
     init: tuple[str, ...] = ()  # model files whose branches this training starts from
-    take_weights: bool = False  # from those files, the weight branch as well
+    take_weights: bool = False  # from those files, what fuses the branches as well
     balance: bool = False  # first scale each branch to the margin: see `balance_branches`
     stage: Literal["end-to-end", "weights"] = "end-to-end"  # weights: branches frozen
     cache_branches: bool = False  # frozen: run over each frame once, without augmentation

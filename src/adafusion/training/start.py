@@ -27,6 +27,8 @@ from adafusion.types import UserError
 
 log = logging.getLogger(__name__)
 
+FUSING = ("weight_net", "linear", "image_add", "voxel_add")  # parts of AdaFusion, not all in each
+
 
 def build_model(config: TrainConfig) -> PlaceModel:
     """Build the network that a training starts from, as a function of the configuration alone."""
@@ -55,8 +57,8 @@ def untrained_twin(model: PlaceModel, seed: int = 0) -> PlaceModel:
 
 
 def take_branches(model: PlaceModel, source: PlaceModel, *, with_weights: bool = False) -> None:
-    """Copy the branches that `source` has into `model`; its weight branch only where asked to."""
-    for name in ("image_net", "voxel_net", *(["weight_net"] if with_weights else [])):
+    """Copy the branches that `source` has into `model`; what fuses them only where asked to."""
+    for name in ("image_net", "voxel_net", *(FUSING if with_weights else ())):
         ours, theirs = getattr(model, name, None), getattr(source, name, None)
         if ours is None or theirs is None:
             continue

@@ -27,7 +27,13 @@ from adafusion.experiments.page import in_percent
 from adafusion.experiments.picture import picture
 from adafusion.experiments.studies.described import WEIGHED, described_by_seed
 from adafusion.experiments.study import Study, Trained
-from adafusion.experiments.verdict import Asked, estimate, judge_difference, plain_verdict
+from adafusion.experiments.verdict import (
+    Asked,
+    estimate,
+    estimate_share,
+    judge_difference,
+    plain_verdict,
+)
 from adafusion.report import plots
 from adafusion.search import pairwise_distances
 from adafusion.types import Descriptions, Split, UserError
@@ -162,7 +168,7 @@ def _compare(
         "true": asdict(estimate(true, asked)),
         "wrong": asdict(estimate(wrong, asked)),
         "wrong_minus_true": plain_verdict(judge_difference(wrong, true, asked), ranked=is_ranked),
-        "share": asdict(estimate((wrong > true).astype(np.float64), asked)),
+        "share": asdict(estimate_share((wrong > true).astype(np.float64), asked)),
     }
 
 

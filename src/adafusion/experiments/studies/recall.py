@@ -68,7 +68,8 @@ def draw_recall(results: Mapping[str, Any], path: Path) -> None:
         gain.set_ylabel("gain in recall@N (points)")
         for axes in (recall, gain):
             axes.set_xlabel("N, number of candidates looked at")
-            axes.legend()
+            if axes.get_legend_handles_labels()[0]:  # no gain where its rows were left away
+                axes.legend()
 
 
 def _curve(axes: Any, measures: Mapping[str, Any], color: str, label: str) -> None:

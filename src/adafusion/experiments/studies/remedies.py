@@ -29,7 +29,7 @@ from adafusion.experiments.studies.remedy_facts import (
     under_equal_weights,
 )
 from adafusion.experiments.study import Study, Trained
-from adafusion.experiments.verdict import estimate, judge_difference, plain_verdict
+from adafusion.experiments.verdict import by_seed, judge_difference, plain_verdict
 from adafusion.models import load_model, read_header
 from adafusion.report import plots
 
@@ -68,8 +68,8 @@ def _recalls(
         where = asked.where(chosen)
         gain = judge_difference(learnt[:, chosen], equal[:, chosen], where)
         found[group] = {
-            "learnt": estimate(learnt[:, chosen], where, num_draws=0).value,
-            "equal": estimate(equal[:, chosen], where, num_draws=0).value,
+            "learnt": float(np.mean(by_seed(learnt[:, chosen], where))),
+            "equal": float(np.mean(by_seed(equal[:, chosen], where))),
             "gain": plain_verdict(gain, ranked=label in trained.converged),
         }
     return found

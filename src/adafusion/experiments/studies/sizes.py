@@ -15,7 +15,7 @@ from adafusion.experiments.jobs import Job
 from adafusion.experiments.judging import Answers, answerable_of, answers, evaluate_loaded
 from adafusion.experiments.page import in_percent
 from adafusion.experiments.study import Study, Trained
-from adafusion.experiments.verdict import estimate, judge_difference
+from adafusion.experiments.verdict import estimate_share, judge_difference
 from adafusion.models import PlaceModel, build_system, load_model
 from adafusion.preprocess import Preprocess
 
@@ -40,7 +40,8 @@ def measure_sizes(trained: Trained) -> dict[str, Any]:
                 continue
             there = np.stack([one.hits(1)[answerable] for one in said])
             change = judge_difference(there, right, asked).difference
-            rows[label].append({"AR@1": asdict(estimate(there, asked)), "change": asdict(change)})
+            at_1 = asdict(estimate_share(there, asked))
+            rows[label].append({"AR@1": at_1, "change": asdict(change)})
     return {"times": list(TIMES), "rows": rows}
 
 

@@ -4,14 +4,14 @@
 
 A fixed share s describes a frame by [s f_I; (1 - s) f_P]. Equal weights are s = 1/2; the best fixed
 share is chosen on the validation region, for each seed. The oracle takes for each query, after the
-fact, whichever share answers it rightly: no system, but what no choice of a share for each query
-can exceed.
+fact, whichever share answers it rightly: no system, but what no choice of one share for a query and
+all its candidates can exceed. Learnt weights are each frame's own and are not bound by it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,21 @@ from jaxtyping import Float, Float64, Int64
 from adafusion.evaluation import evaluate_splits
 from adafusion.evaluation.validation import region_recall
 from adafusion.experiments.jobs import Job
-from adafusion.experiments.judging import answerable_of, describe_frames, evaluate_model
+from adafusion.experiments.judging import (
+    answerable_of,
+    describe_frames,
+    evaluate_model,
+    pooled_alpha,
+)
 from adafusion.experiments.page import in_percent
 from adafusion.experiments.picture import picture
 from adafusion.experiments.study import Study, Trained
-from adafusion.experiments.verdict import Asked, estimate, judge_difference, plain_verdict
+from adafusion.experiments.verdict import (
+    by_seed,
+    estimate_share,
+    judge_difference,
+    plain_verdict,
+)
 from adafusion.models import load_model
 from adafusion.models.frozen import describe_frozen
 from adafusion.report import plots
@@ -88,28 +98,18 @@ def measure_weighting(trained: Trained) -> dict[str, Any]:
         }
     return {
         "shares": list(SHARES),
-        "recall_by_share": [
-            asdict(estimate(hits[:, i], asked))["value"] for i in range(len(SHARES))
-        ],
+        "recall_by_share": [float(np.mean(by_seed(hits[:, i], asked))) for i in range(len(SHARES))],
         "validation_by_share": np.mean([one.validation for one in fixed], axis=0).tolist(),
         "best_share": [SHARES[one.best] for one in fixed],
         "unlearnt": {
             name: {
-                "recall": _recall(right, asked),
+                "recall": asdict(estimate_share(right, asked)),
                 "over equal": plain_verdict(judge_difference(right, equal, asked), ranked=True),
             }
             for name, right in unlearnt.items()
         },
         "rows": rows,
     }
-
-
-def _recall(right: Int64[np.ndarray, "seed q"], asked: Asked) -> dict[str, Any]:
-    found = estimate(right, asked)
-    if found.interval is not None:  # widened ones may leave what a recall can be
-        low, high = found.interval
-        found = replace(found, interval=(max(low, 0.0), min(high, 1.0)))
-    return asdict(found)
 
 
 def fixed_shares(job: Job, trained: Trained) -> FixedShares:
@@ -142,7 +142,7 @@ def at_share(seen: Descriptions, share: float) -> Float[np.ndarray, "n dim"]:
 
 
 def _alpha(trained: Trained, label: str) -> dict[str, list[float]] | None:
-    """Mean weights over seeds and test worlds, and their spread over frames, (image, LiDAR)."""
+    """Mean weights over all test frames, and their spread, (image, LiDAR); the mean over seeds."""
     protocol = trained.experiment.protocols[0]
     summaries = []
     for job in trained.rows[label]:
@@ -150,12 +150,11 @@ def _alpha(trained: Trained, label: str) -> dict[str, list[float]] | None:
             job.name, job.model, trained.exams, (protocol,), trained.cache, trained.out,
             frozen=job.config.cache_branches,
         )  # fmt: skip
-        summaries += [record["model"]["alpha"] for record in records[protocol]]
-    if summaries[0] is None:
-        return None
+        if (alpha := pooled_alpha(records[protocol])) is None:
+            return None
+        summaries.append(alpha["all"])
     return {
-        name: np.mean([one["all"][name] for one in summaries], axis=0).tolist()
-        for name in ("mean", "std")
+        name: np.mean([one[name] for one in summaries], axis=0).tolist() for name in ("mean", "std")
     }
 
 
@@ -169,7 +168,8 @@ def weighting_section(study: Mapping[str, Any]) -> list[str]:
     lines += [
         "",
         f"Best shares of the image on validation, by seed: {shares}. The oracle chooses the best "
-        f"of {len(study['shares'])} shares for each query after the fact: a bound, no system.",
+        f"of {len(study['shares'])} shares for each query after the fact: no system, but a bound "
+        "of what a share that a query and its candidates have in common can give.",
         "",
         "## What each row gains, and its weights",
         "",
