@@ -24,7 +24,8 @@ from adafusion.experiments import (
     plan_jobs,
     train_jobs,
 )
-from adafusion.experiments.judging import answers, ask, describe_frames, evaluate_model
+from adafusion.experiments.describing import describe_frames
+from adafusion.experiments.judging import answers, ask, evaluate_model
 from adafusion.experiments.studies.remedies import REMEDIED
 from adafusion.experiments.studies.remedy_facts import (
     gradients,
@@ -152,7 +153,7 @@ def test_nearest_matches_are_those_of_the_evaluation(
     save_model(build_model(replace(config, model=replace(config.model, system="concat"))), file)
     model = load_model(file)
     exam = ExamData.of(tiny_world)
-    described = describe_frames(model, exam.dataset, cache)
+    described = describe_frames(model, exam.dataset, cache, tmp_path)
     records = evaluate_model("concat", file, [exam], ["cross-run"], cache, tmp_path)["cross-run"]
     world = (exam.dataset.positions_m, exam.splits("cross-run"))
     # a model without weights answers under equal weights what it answers

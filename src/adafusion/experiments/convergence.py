@@ -18,12 +18,20 @@ def half_width(recall: float, num_answers: int) -> float:
     return 1.96 * float(np.sqrt(max(recall * (1.0 - recall), 0.0) / num_answers))
 
 
-def why_not_ranked(curve: Sequence[float], num_answers: int, *, from_scratch: bool) -> str:
+def why_not_ranked(
+    curve: Sequence[float],
+    num_answers: int,
+    *,
+    parts: Sequence[Sequence[float]] = (),
+    from_scratch: bool,
+) -> str:
     """`RISING`, `NEVER_BEGAN` or, where the row may be ranked, nothing.
 
-    curve: validation recall@1 from before the first batch on, on so many answers.
+    curve: validation recall@1 of the row from before the first batch on, on so many answers; parts:
+    that of each training that led to it. None of them may still rise at its end: the last phase of
+    a chain is short, and says little of whether its branches had learnt all they could.
     """
-    if still_rising(curve, num_answers):
+    if any(still_rising(one, num_answers) for one in (curve, *parts)):
         return RISING
     return NEVER_BEGAN if from_scratch and never_began(curve, num_answers) else ""
 

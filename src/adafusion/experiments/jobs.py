@@ -249,19 +249,31 @@ def row_curve(jobs: Sequence[Job]) -> list[float]:
     Of the trainings in its chain those count whose model is the row's own: a branch at another
     image size, or alone, has a recall of another kind.
     """
-    curves = []
-    for last in jobs:
-        curves.append([line[SELECTED_BY] for job in _own(last) for line in job.record()["curve"]])
+    return _mean_curve([list(_same_model(last)) for last in jobs])
+
+
+def part_curves(jobs: Sequence[Job]) -> list[list[float]]:
+    """Validation recall@1 of each training that leads to a row, the mean over its seeds."""
+    chains = zip(*(last.chain() for last in jobs), strict=True)
+    return [_mean_curve([[job] for job in of_seeds]) for of_seeds in chains]
+
+
+def _mean_curve(trainings: Sequence[Sequence[Job]]) -> list[float]:
+    """The mean over seeds of what the trainings of each seed, one after the other, recalled."""
+    curves = [
+        [line[SELECTED_BY] for job in of_seed for line in job.record()["curve"]]
+        for of_seed in trainings
+    ]
     length = min(map(len, curves))
     return [sum(curve[i] for curve in curves) / len(curves) for i in range(length)]
 
 
 def starts_from_scratch(last: Job) -> bool:
     """Whether the curve of a row begins with weights drawn by chance."""
-    return not next(_own(last)).sources
+    return not next(_same_model(last)).sources
 
 
-def _own(last: Job) -> Iterator[Job]:
+def _same_model(last: Job) -> Iterator[Job]:
     return (job for job in last.chain() if job.config.model == last.config.model)
 
 

@@ -29,11 +29,10 @@ from adafusion.evaluation import (
 )
 from adafusion.evaluation.evaluate import BLOCK_M
 from adafusion.evaluation.metrics import place_blocks
+from adafusion.experiments.describing import describe_frames
 from adafusion.experiments.verdict import Asked
 from adafusion.files import write_json
-from adafusion.models import PlaceModel, describe, load_model, prepared_batches
-from adafusion.models.frozen import describe_frozen
-from adafusion.preprocess.cache import PreparedSet, prepare_cache
+from adafusion.models import PlaceModel, load_model
 from adafusion.types import SENSORS, Descriptions, Progress, Split, UserError, lacking, silent
 
 EVALUATION_VERSION = 1  # raise it when equal models and data come to give other answers
@@ -173,7 +172,9 @@ def evaluate_loaded(
             path = out / "evaluations" / f"{'-'.join(map(str, stem))}.json"
             if not path.exists():
                 if described is None:
-                    described = describe_frames(model, test.dataset, cache, progress, frozen=frozen)
+                    described = describe_frames(
+                        model, test.dataset, cache, out, progress, frozen=frozen
+                    )
                 write_json(path, _record(model, test, described, protocol))
             records[protocol].append(json.loads(path.read_text(encoding="utf-8")))
     return records
@@ -216,30 +217,6 @@ def pooled_alpha(records: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, An
             "std": spread.tolist(),
         }
     return pooled
-
-
-def describe_frames(
-    model: PlaceModel,
-    dataset: Dataset,
-    cache: Path,
-    progress: Progress = silent,
-    *,
-    frozen: bool = False,
-) -> Descriptions:
-    """Describe every frame of a dataset by what the cache holds of it.
-
-    That is the preprocessed frames or, with `frozen`, what the model's branches give of them.
-    """
-    prepared = prepare_cache(dataset, model.config.preprocess, cache, progress=progress)
-    rows = np.arange(len(dataset.frames))
-    if frozen:
-        return describe_frozen(model, PreparedSet((prepared,)), rows, cache, progress)
-    batches = progress(
-        prepared_batches(prepared, rows, BATCH),
-        total=-(-len(rows) // BATCH),
-        desc=f"describing by {model.name}",
-    )
-    return describe(model, batches)
 
 
 def _record(

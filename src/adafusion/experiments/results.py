@@ -22,6 +22,7 @@ from adafusion.experiments.jobs import (
     Job,
     Rows,
     all_jobs,
+    part_curves,
     passes_of,
     row_curve,
     starts_from_scratch,
@@ -176,7 +177,9 @@ def _row(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
     """What the table says of a row's training; counts of passes are those of one seed."""
     records = {job.key: job.record() for job in jobs[0].chain()}
     curve = row_curve(jobs)
-    why_not = why_not_ranked(curve, num_answers, from_scratch=starts_from_scratch(jobs[0]))
+    why_not = why_not_ranked(
+        curve, num_answers, parts=part_curves(jobs), from_scratch=starts_from_scratch(jobs[0])
+    )
     return {
         "label": row.label,
         "system": jobs[0].config.model.system,

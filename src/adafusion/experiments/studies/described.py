@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import torch
 
-from adafusion.experiments.judging import describe_frames
+from adafusion.experiments.describing import describe_frames
 from adafusion.experiments.study import Trained
 from adafusion.models import load_model
 from adafusion.types import Descriptions, UserError
@@ -28,6 +28,6 @@ def described_by_seed(trained: Trained, label: str) -> Iterator[tuple[Descriptio
         model = load_model(job.model, device)
         model.name = job.name
         yield tuple(
-            describe_frames(model, exam.dataset, trained.cache, trained.progress)
+            describe_frames(model, exam.dataset, trained.cache, trained.out, trained.progress)
             for exam in trained.exams
         )

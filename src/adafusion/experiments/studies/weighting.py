@@ -21,10 +21,10 @@ from jaxtyping import Float, Float64, Int64
 
 from adafusion.evaluation import evaluate_splits
 from adafusion.evaluation.validation import region_recall
+from adafusion.experiments.describing import describe_frames
 from adafusion.experiments.jobs import Job
 from adafusion.experiments.judging import (
     answerable_of,
-    describe_frames,
     evaluate_model,
     pooled_alpha,
 )
@@ -124,7 +124,9 @@ def fixed_shares(job: Job, trained: Trained) -> FixedShares:
     hits: list[list[np.ndarray]] = [[] for _ in SHARES]
     for exam in trained.exams:
         splits = exam.splits(trained.experiment.protocols[0])
-        seen = describe_frames(model, exam.dataset, trained.cache, trained.progress, frozen=True)
+        seen = describe_frames(
+            model, exam.dataset, trained.cache, trained.out, trained.progress, frozen=True
+        )
         for of_share, share in zip(hits, SHARES, strict=True):
             answered = evaluate_splits(
                 at_share(seen, share), exam.dataset.positions_m, splits, ks=[1], p=model.config.p
