@@ -61,7 +61,7 @@ def describe_frames(
 
 def _read(path: Path) -> Descriptions:
     try:
-        with np.load(path, allow_pickle=False) as kept:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
             return Descriptions(**{name: kept.get(name) for name in Descriptions._fields})
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise UserError(f"{path} is damaged ({error}): delete it and repeat the command") from None

@@ -58,9 +58,9 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         "quarter of its evaluations, by more than the 95 % half-width of "
         f'{results["validation_answers"]} answers, is marked "{RISING}", one from scratch whose '
         f'best is within that of its start "{NEVER_BEGAN}"; both stand below the others in no '
-        "order and have no verdict. Every training of a row's chain is looked at. Rates fall to zero, "
-        "which levels a curve by itself: a row without a mark had learnt what this budget teaches, "
-        "and a larger one may still lift it. The paper's numbers are its own, on Oxford "
+        "order and have no verdict. Every training of a row's chain is looked at. Rates fall to "
+        "zero, which levels a curve by itself: a row without a mark had learnt what this budget "
+        "teaches, and a larger one may still lift it. The paper's numbers are its own, on Oxford "
         "RobotCar under several protocols: they compare with nothing here.",
         "",
         *(f"- {name}: {words}" for name, words in results["protocols"].items()),
