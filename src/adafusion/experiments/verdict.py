@@ -85,13 +85,16 @@ def estimate(
     return Estimate(value, percentile_interval(draws))
 
 
-def estimate_share(values: Real[np.ndarray, "seed q"], asked: Asked) -> Estimate:
-    """As `estimate`, of values between 0 and 1, which a widened interval might leave."""
-    found = estimate(values, asked)
+def within(found: Estimate, low: float, high: float) -> Estimate:
+    """An estimate of what lies between two limits, which a widened interval might leave."""
     if found.interval is None:
         return found
-    low, high = found.interval
-    return Estimate(found.value, (max(low, 0.0), min(high, 1.0)))
+    return Estimate(found.value, (max(found.interval[0], low), min(found.interval[1], high)))
+
+
+def estimate_share(values: Real[np.ndarray, "seed q"], asked: Asked) -> Estimate:
+    """As `estimate`, of values between 0 and 1."""
+    return within(estimate(values, asked), 0.0, 1.0)
 
 
 def by_seed(values: Real[np.ndarray, "seed q"], asked: Asked) -> list[float]:

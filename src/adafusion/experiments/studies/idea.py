@@ -13,6 +13,7 @@ much of the same place, one comparison takes the nearest wrong match from elsewh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -33,6 +34,7 @@ from adafusion.experiments.verdict import (
     estimate_share,
     judge_difference,
     plain_verdict,
+    within,
 )
 from adafusion.report import plots
 from adafusion.search import pairwise_distances
@@ -165,8 +167,8 @@ def _compare(
 ) -> dict[str, Any]:
     """Means of both, wrong minus true, and the share of queries whose wrong match is farther."""
     return {
-        "true": asdict(estimate(true, asked)),
-        "wrong": asdict(estimate(wrong, asked)),
+        "true": asdict(within(estimate(true, asked), 0.0, math.inf)),
+        "wrong": asdict(within(estimate(wrong, asked), 0.0, math.inf)),
         "wrong_minus_true": plain_verdict(judge_difference(wrong, true, asked), ranked=is_ranked),
         "share": asdict(estimate_share((wrong > true).astype(np.float64), asked)),
     }
