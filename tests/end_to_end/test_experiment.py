@@ -237,7 +237,7 @@ def test_frames_without_a_sensor_are_left_out_for_all_rows(
     ("words", "remedy"),
     [
         (["nothing"], "choose from headline, "),
-        (["headline", "--rows", "W"], "choose from V, L, VL, AdaFusion"),
+        (["headline", "--rows", "V,W"], "headline has no row W: choose from V, L, VL, AdaFusion"),
         (["headline", "--seeds", "a"], "whole numbers"),
         (["headline", "--seeds", "-1"], "none below 0"),
     ],
@@ -250,6 +250,30 @@ def test_what_is_asked_wrongly_is_answered_with_the_remedy(
     assert (said.code, remedy in said.err) == (2, True), said.err
     said = type_in("experiment", *words, *data[:2])
     assert "give both --train and --test" in said.err
+
+
+@pytest.mark.parametrize(
+    ("option", "region", "remedy"),
+    [
+        ("--train", "validation", "adafusion split"),
+        ("--test", "test", "have frames in the test region"),
+    ],
+)
+def test_data_without_a_region_are_refused_before_anything_is_trained(
+    type_in, tiny_world: Dataset, tmp_path: Path, option: str, region: str, remedy: str
+) -> None:
+    folder = tmp_path / "lacking"
+    shutil.copytree(tiny_world.root, folder)
+    path = folder / "dataset.yaml"
+    info = yaml.safe_load(path.read_text())
+    assert info["regions"].pop(region)
+    assert info["regions"]
+    path.write_text(yaml.safe_dump(info))
+    data = {"--train": tiny_world.root, "--test": tiny_world.root, option: folder}
+    words = [word for pair in data.items() for word in pair]
+    said = type_in("experiment", "headline", *words, "--out", tmp_path / "out", *SMALL)
+    assert (said.code, remedy in said.err) == (2, True), said.err
+    assert not (tmp_path / "out" / "trainings").exists()
 
 
 def test_data_without_a_validation_region_is_sent_to_be_split(

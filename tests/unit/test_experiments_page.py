@@ -73,7 +73,7 @@ def test_a_row_that_still_rises_is_below_the_others_and_never_bold(
 
 def test_the_page_says_what_its_numbers_are_worth(results: dict[str, Any]) -> None:
     text = page(results)
-    assert "Exploratory: one seed." in text
+    assert "Exploratory: one seed, which decides nothing." in text
     assert "SYNTHETIC data" in text
     assert "97.10 / -" in text
     assert "1,000 / -" in text  # passes through the image's network; it has no other

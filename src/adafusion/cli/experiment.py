@@ -50,7 +50,8 @@ def experiment(
         ),
     ] = None,
     seeds: Annotated[
-        str | None, typer.Option(help="Trainings of each row, by comma; default: its own.")
+        str | None,
+        typer.Option(help="Seeds of each row's trainings, by comma; default: the experiment's."),
     ] = None,
     rows: Annotated[str | None, typer.Option(help="Only these rows, by comma.")] = None,
     plan: Annotated[
@@ -91,6 +92,7 @@ def experiment(
     teaches = train or [Path(world) / "train"]
     judges = test or [Path(world) / "test"]
     corpus = Corpus(tuple(open_data(path, cache) for path in teaches))
+    corpus.rows("validation")  # what lacks a region is refused now, not when all is trained
     if budget is None:
         frames = len(corpus.rows("train"))
         known = None if train else e.BUDGETS.get(world)
@@ -111,6 +113,9 @@ def experiment(
         return
     make_folder(out)
     exams = tuple(e.ExamData.of(open_data(path, cache)) for path in judges)
+    for exam in exams:
+        for protocol in asked.protocols:
+            exam.splits(protocol)
     progress = bar if workers == 1 else lines
     todo = [job for job in jobs if job.state != "done"]
     say(f"{name}: {len(jobs)} trainings, {len(jobs) - len(todo)} done before")

@@ -165,7 +165,10 @@ def _read_info(root: Path) -> tuple[DatasetInfo, dict[str, int]]:
     if not path.is_file():
         if partial_folder(root).exists():
             raise UserError(f"{root} is not finished: repeat the command that writes it, to resume")
-        raise UserError(f"{path} is missing: give the folder of a prepared or simulated dataset")
+        raise UserError(
+            f"{path} is missing: give the folder of a prepared or simulated dataset, or the name "
+            "of a world from `adafusion world list`"
+        )
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, ValueError, RecursionError) as error:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,7 +22,7 @@ def ranking(rows: Sequence[Mapping[str, Any]], protocol: str) -> list[Mapping[st
 def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str = "") -> str:
     """Write the page; `section` is what a study says, `picture` the name of a file beside it."""
     seeds = results["seeds"]
-    exploratory = " Exploratory: one seed." if len(seeds) == 1 else ""
+    exploratory = " Exploratory: one seed, which decides nothing." if len(seeds) == 1 else ""
     data = results["test_data"]
     synthetic = "SYNTHETIC data: " if any(one["synthetic"] for one in data) else "Data: "
     software = results["software"]
@@ -70,7 +71,8 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         *section,
     ]
     if picture:
-        lines += ["", f"![{results['words']}]({picture})"]
+        first = re.split(r"[.:;?]", results["words"])[0]
+        lines += ["", f"![{results['experiment']}: {first}]({picture})"]
     return "\n".join(lines) + "\n"
 
 

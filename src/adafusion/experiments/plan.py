@@ -75,9 +75,10 @@ class Experiment:
         """The same experiment with some of its rows; UserError for a label that is none."""
         known = {row.label.lower() for row in self.rows}
         wanted = {label.lower() for label in labels}
-        if wanted - known or not wanted:
+        unknown = [label for label in labels if label.lower() not in known]
+        if unknown or not wanted:
             raise UserError(
-                f"{self.name} has no row {', '.join(sorted(wanted - known)) or 'without a label'}: "
+                f"{self.name} has no row {', '.join(unknown) or 'without a label'}: "
                 "choose from " + ", ".join(row.label for row in self.rows)
             )
         rows = tuple(row for row in self.rows if row.label.lower() in wanted)

@@ -47,10 +47,11 @@ class Corpus:
             kept &= np.concatenate(names) == region
         rows = np.flatnonzero(kept)
         if not len(rows):
+            other = ", or choose by another dataset (`adafusion train --validation`)"
             raise UserError(
                 f"{', '.join(str(ds.root) for ds in self.datasets)}: no frame with "
                 f"{' and '.join(sensors)} in the {region or 'whole'} region: cut it with "
-                "`adafusion split`, or choose by another dataset (--validation)"
+                "`adafusion split`" + (other if region == "validation" else "")
             )
         return rows
 

@@ -56,9 +56,9 @@ def cost_section(study: Mapping[str, Any]) -> list[str]:
         "",
         "## What it costs",
         "",
-        f"Describing one frame on a CPU, {study['threads']} threads, the network alone; the median "
-        f"of {study['rounds']} rounds in which the rows take turns. Read the ratio: milliseconds "
-        "drift with the machine.",
+        f"Describing one frame on a CPU, threads: {study['threads']}, the network alone; the "
+        f"median of {study['rounds']} rounds in which the rows take turns. Read the ratio: "
+        "milliseconds drift with the machine.",
         "",
         "| system | ms a frame | ratio to the fastest |",
         "|---|---|---|",
@@ -78,17 +78,21 @@ def draw_cost(results: Mapping[str, Any], path: Path) -> None:
                 rows = [row for row in results["rows"] if row["system"] == system]
                 x = [_cost(row, results)[cost] for row in rows]
                 recall = [100 * row["recall"][protocol]["AR@1"]["value"] for row in rows]
-                axes.plot(x, recall, "o-", color=color, label=system)
+                name = rows[0]["label"].rpartition(" ")[0] or system
+                axes.plot(x, recall, "-", color=color, label=name)
                 for row, *at in zip(rows, x, recall, strict=True):
-                    words_of = row["label"].split(" ")[-1]
-                    words_of += "" if row["converged"] else f", {row['why_not_ranked']}"
+                    inside = color if row["converged"] else "white"
+                    axes.plot(*at, "o", color=color, markerfacecolor=inside)
+                    length = row["label"].split(" ")[-1]
                     axes.annotate(
-                        words_of, at, xytext=(5, -11), textcoords="offset points", fontsize=8
+                        length, at, xytext=(6, -11), textcoords="offset points", fontsize=8
                     )
             axes.set_xlabel(words)
             axes.margins(0.2)
         panels[0].set_ylabel(f"recall@1 (%), {protocol}")
-        panels[0].legend()
+        if not all(row["converged"] for row in results["rows"]):
+            panels[0].plot([], [], "o", color=plots.FAINT, mfc="white", label="not ranked")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper")
 
 
 def _cost(row: Mapping[str, Any], results: Mapping[str, Any]) -> dict[str, float]:

@@ -234,12 +234,12 @@ def draw_idea(results: Mapping[str, Any], path: Path) -> None:
             comparison = study["comparisons"][name]
             for which, color in (("true", plots.RIGHT), ("wrong", plots.WRONG)):
                 kind = comparison[which]
-                values = study["quantiles"][kind]
+                values = 1000 * np.array(study["quantiles"][kind])
                 shares.plot(values, 100 * QUANTILES, style, color=color, label=kind)
         highest = max(study["quantiles"][kind][-2] for kind in study["quantiles"])
-        shares.set_xlim(0.0, highest)
+        shares.set_xlim(0.0, 1000 * highest)
         shares.set_ylim(0.0, 101.0)
-        shares.set_xlabel("difference of alpha, image + LiDAR")
+        shares.set_xlabel("difference of alpha, image + LiDAR, in thousandths")
         shares.set_ylabel("queries with at most so much (%)")
         shares.legend()
         looks = {"image": plots.IMAGE, "lidar": plots.LIDAR, "both": plots.INK}
@@ -248,14 +248,15 @@ def draw_idea(results: Mapping[str, Any], path: Path) -> None:
                 found = comparison["readings"][reading]["wrong_minus_true"]["difference"]
                 y = k + 0.2 * (i - 1)
                 label = READINGS[reading] if k == 0 else None
-                gaps.plot(found["value"], y, "o", color=color, markersize=4, label=label)
+                gaps.plot(1000 * found["value"], y, "o", color=color, markersize=4, label=label)
                 if found["interval"] is not None:
-                    gaps.plot(found["interval"], (y, y), color=color, linewidth=1.5)
+                    ends = 1000 * np.array(found["interval"])
+                    gaps.plot(ends, (y, y), color=color, linewidth=1.5)
         gaps.axvline(0.0, color=plots.FAINT, linewidth=1.0)
         names = [f"{c['true']},\n{c['wrong']}" for c in study["comparisons"].values()]
         gaps.set_yticks(range(len(names)), names)
         gaps.invert_yaxis()
-        gaps.set_xlabel("difference of alpha: wrong minus true")
+        gaps.set_xlabel("difference of alpha, wrong minus true, in thousandths")
         gaps.legend()
 
 

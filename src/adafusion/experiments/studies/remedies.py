@@ -109,7 +109,7 @@ def remedies_section(study: Mapping[str, Any]) -> list[str]:
         "agree (norm of the mean over mean norm; at random "
         f"{GRADIENT_BATCHES**-0.5:.2f}).",
         "",
-        "| row | " + " | ".join(NETS) + " |",
+        "| row | " + " | ".join(part.replace("lidar", "LiDAR") for part in NETS) + " |",
         "|---" * (1 + len(NETS)) + "|",
     ]
     for label, row in rows.items():

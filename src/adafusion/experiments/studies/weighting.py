@@ -202,6 +202,10 @@ def draw_weighting(results: Mapping[str, Any], path: Path) -> None:
     gains |= {name: study["unlearnt"][name]["over equal"]["difference"] for name in (BEST, ORACLE)}
     with picture(path, results, 1.2 + 0.28 * len(gains)) as figure:
         by_share, gained = figure.subplots(1, 2, width_ratios=(2, 3))
+        mark = {
+            row["label"]: "" if row["converged"] else f" ({row['why_not_ranked']})"
+            for row in results["rows"]
+        }
         for key, word, style in (
             ("recall_by_share", "test", "-"),
             ("validation_by_share", "validation", "--"),
@@ -218,7 +222,7 @@ def draw_weighting(results: Mapping[str, Any], path: Path) -> None:
                 low, high = difference["interval"]
                 gained.plot([100 * low, 100 * high], [i, i], color=plots.INK, linewidth=1.2)
         gained.axvline(0.0, color=plots.FAINT, linewidth=1.0)
-        gained.set_yticks(range(len(gains)), list(gains))
+        gained.set_yticks(range(len(gains)), [label + mark.get(label, "") for label in gains])
         gained.invert_yaxis()
         gained.set_xlabel("recall@1 minus that of equal weights (points)")
 

@@ -227,7 +227,7 @@ def weights_section(study: Mapping[str, Any]) -> list[str]:
         "is above 0 as well. The picture shows one stretch of each, chosen by zone, run and "
         "position.",
         "",
-        "| where | claim | brightness there | found | doors or frames | |",
+        "| where | claim | brightness of the stretch shown | found | doors or frames | |",
         "|---|---|---|---|---|---|",
     ]
     for claim in study["claims"]:

@@ -44,7 +44,8 @@ def draw_weights(results: Mapping[str, Any], path: Path) -> None:
             axes.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
         if shown:
             shown[-1].set_xlabel("frame of the stretch")
-            shown[0].legend(loc="lower right", bbox_to_anchor=(1.0, 0.96), ncols=2, fontsize=7.5)
+            lines = shown[0].get_legend_handles_labels()
+            figure.legend(*lines, loc="outside lower left", ncols=2)
 
 
 def _title(claim: Mapping[str, Any]) -> str:
