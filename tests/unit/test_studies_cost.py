@@ -31,6 +31,7 @@ def test_the_table_has_the_ratio_and_the_picture_a_mark_a_row(tmp_path: Path) ->
     lines = cost_section(study)
     assert "| VL D-128 | 10.0 | 1.00 |" in lines
     assert "| AdaFusion D-128 | 15.0 | 1.50 |" in lines
+    assert "0.40 / 0.60 at 256, 0.32 / 0.68 at 128" in lines[-1]
     rows = [
         {
             "label": label,

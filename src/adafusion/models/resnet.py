@@ -141,13 +141,15 @@ def load_imagenet_resnet18(net: ResNet, path: str | Path) -> None:
 def read_weights(path: str | Path) -> dict[str, Tensor]:
     """Read named tensors from a .safetensors file or one of `torch.save`, running no code of it."""
     path = Path(path)
+    if not path.is_file():
+        raise UserError(f"{path} is missing: give the file of the network's public weights")
     try:
         if path.suffix == ".safetensors":
             return load_file(path)
         weights: Any = torch.load(path, map_location="cpu", weights_only=True)
     except (OSError, RuntimeError, EOFError, pickle.UnpicklingError, SafetensorError) as error:
         raise UserError(
-            f"{path}: cannot be read as weights ({error}); download torchvision's file again"
+            f"{path}: cannot be read as weights ({error}); download it again"
         ) from error
     if not isinstance(weights, Mapping) or not all(isinstance(v, Tensor) for v in weights.values()):
         raise UserError(f"{path}: holds no named tensors; save the network's state_dict() alone")

@@ -64,6 +64,11 @@ def cost_section(study: Mapping[str, Any]) -> list[str]:
         "|---|---|---|",
     ]
     lines += [f"| {label} | {ms:.1f} | {ms / fastest:.2f} |" for label, ms in study["ms"].items()]
+    lines += [
+        "",
+        "The paper's mean weights, image / LiDAR, on NCLT: 0.40 / 0.60 at 256, 0.32 / 0.68 at 128; "
+        "those of these rows stand above. What weighing gains at each length: see the verdicts.",
+    ]
     return lines
 
 
