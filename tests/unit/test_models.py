@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from torch import nn
 
 from adafusion.models import AdaFusion, ModelConfig, describe, load_model, read_header, save_model
 from adafusion.models.backbones import add_norms, fold_norms, image_backbone, initialise_he
+from adafusion.models.config import System
 from adafusion.preprocess import ImageSettings, Preprocess, VoxelGrid
 from adafusion.types import UserError
 
@@ -228,3 +230,19 @@ def test_nonsense_configurations_are_refused() -> None:
     for changes in ({"dim": 255}, {"width": 0.0}, {"attention_levels": 4}):
         with pytest.raises(ValueError, match=next(iter(changes))):
             replace(TINY, **changes)
+
+
+@pytest.mark.parametrize(
+    ("system", "changes", "words"),
+    [
+        ("lidar", {"voxels": VoxelGrid(shape=(16, 16, 7))}, "at least 8"),
+        ("image", {"image": ImageSettings(size=(15, 64))}, "at least 16"),
+    ],
+)
+def test_an_input_too_small_for_a_branch_is_refused_before_it_is_built(
+    system: System, changes: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(ValueError, match=words):
+        ModelConfig(system=system, preprocess=Preprocess(**changes))
+    other: System = "image" if system == "lidar" else "lidar"
+    ModelConfig(system=other, preprocess=Preprocess(**changes))  # which does not look at it

@@ -54,6 +54,10 @@ def test_a_layer_over_all_cells_takes_no_other_size() -> None:
     )
 
 
+def test_a_size_too_small_for_the_branch_is_no_size() -> None:
+    assert at_size(build_system(ModelConfig(system="lidar", preprocess=OWN)), 0.25) is None
+
+
 def test_the_table_shows_recall_and_its_change() -> None:
     def found(recall: float, change: float) -> dict[str, object]:
         return {

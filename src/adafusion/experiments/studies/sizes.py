@@ -62,14 +62,18 @@ def _said(trained: Trained, jobs: Sequence[Job], times: float) -> tuple[Answers,
 
 
 def at_size(model: PlaceModel, times: float) -> PlaceModel | None:
-    """The same weights as a model of input of another size; None where they are bound to theirs.
+    """The same weights as a model of input of another size.
 
+    None where they are bound to theirs, and where the other would be too small for the branches.
     That model's configuration says its size, so preprocessing, caches and the check of sizes are
     those of any other model.
     """
     if model.config.pooling == "fc":
         return None
-    config = replace(model.config, preprocess=resized(model.config.preprocess, times))
+    try:
+        config = replace(model.config, preprocess=resized(model.config.preprocess, times))
+    except ValueError:
+        return None
     other = build_system(config, model.name)
     other.load_state_dict(model.state_dict())
     return other.to(next(model.parameters()).device).eval().requires_grad_(False)
