@@ -138,22 +138,26 @@ def _lite_row(recipe: Recipe, passes: int, adafusion: Row) -> Row:
     return Row(label="AdaFusion-lite", training=last, pretrained=True)
 
 
-def staged_rows(recipe: Recipe, passes: int) -> tuple[Row, Row, Row, Row]:
-    """V, L, VL and AdaFusion, all from one image branch and one LiDAR branch."""
+def staged_rows(recipe: Recipe, passes: int, tag: str = "") -> tuple[Row, Row, Row, Row]:
+    """V, L, VL and AdaFusion, all from one image branch and one LiDAR branch.
+
+    `tag` ends the trainings' names, where a table holds several sets of them.
+    """
     together = round(TOGETHER * passes)
     coarse = round(COARSE * (passes - together))
     image = Training(
-        name="image",
+        name=f"image{tag}",
         config=recipe("image-s"),
         passes=passes - together - coarse,
         starts_from=(
-            Training(name="image-coarse", config=recipe("image-s-coarse"), passes=coarse),
+            Training(name=f"image-coarse{tag}", config=recipe("image-s-coarse"), passes=coarse),
         ),
     )
-    lidar = Training(name="lidar", config=recipe("lidar-s"), passes=passes - together)
+    lidar = Training(name=f"lidar{tag}", config=recipe("lidar-s"), passes=passes - together)
 
     def last(system: System, config: TrainConfig, *branches: Training) -> Training:
-        return Training(name=f"{system}-last", config=config, passes=together, starts_from=branches)
+        name = f"{system}-last{tag}"
+        return Training(name=name, config=config, passes=together, starts_from=branches)
 
     def alone(system: System, branch: Training) -> Training:
         config = recipe("adafusion-s")
@@ -202,6 +206,7 @@ def _by_dimension(
 
         return changed
 
+    headlines = recipe("adafusion-s").model.dim  # whose trainings are shared, so named alike
     rows = tuple(
         replace(
             row,
@@ -209,7 +214,7 @@ def _by_dimension(
             published=Published(at_1=PUBLISHED_BY_DIM[row.label][dim], at_1_percent=None),
         )
         for dim in lengths
-        for row in staged_rows(of_length(dim), passes)
+        for row in staged_rows(of_length(dim), passes, "" if dim == headlines else f"-d{dim}")
         if row.label in systems
     )
     return Experiment(
