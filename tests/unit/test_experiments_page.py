@@ -22,6 +22,7 @@ def row(label: str, value: float, converged: bool) -> dict[str, Any]:
         "parameters": 1234567,
         "frame_passes": {"image": 1000},
         "validation_passes": 10,
+        "kept_after": [0.5],
         "mining_passes": 0,
         "converged": converged,
         "why_not_ranked": "" if converged else "not converged",
@@ -76,5 +77,6 @@ def test_the_page_says_what_its_numbers_are_worth(results: dict[str, Any]) -> No
     assert "Exploratory: one seed, which decides nothing." in text
     assert "SYNTHETIC data" in text
     assert "97.10 / -" in text
+    assert "rising 50 %; guessed 50 %; good 50 %." in text
     assert "1,000 / -" in text  # passes through the image's network; it has no other
     assert "Exploratory" not in page({**results, "seeds": [0, 1]})

@@ -268,6 +268,15 @@ def _mean_curve(trainings: Sequence[Sequence[Job]]) -> list[float]:
     return [sum(curve[i] for curve in curves) / len(curves) for i in range(length)]
 
 
+def kept_after(job: Job) -> float:
+    """After which share of its batches a training's model was kept: 0, as it began."""
+    curve = job.record()["curve"]
+    if job.config.keep == "last":
+        return 1.0
+    best = max(curve, key=lambda line: line[SELECTED_BY])  # the first of equals, as in training
+    return best["batch"] / curve[-1]["batch"]
+
+
 def starts_from_scratch(last: Job) -> bool:
     """Whether the curve of a row begins with weights drawn by chance."""
     return not next(_same_model(last)).sources

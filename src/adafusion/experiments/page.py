@@ -66,6 +66,7 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         "",
         *(f"- {name}: {words}" for name, words in results["protocols"].items()),
         *_apart(results["rows"]),
+        *_kept(results["rows"]),
         *_alpha(results["rows"]),
         *_verdicts(results),
         *section,
@@ -134,6 +135,15 @@ def _apart(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         )
         + ".",
     ]
+
+
+def _kept(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """When the best model on validation was met: at 0 % the last training brought nothing."""
+    said = (
+        f"{row['label']} {', '.join(f'{100 * share:.0f} %' for share in row['kept_after'])}"
+        for row in rows
+    )
+    return ["", f"Kept, by validation, after this share of the last training: {'; '.join(said)}."]
 
 
 def _alpha(rows: Sequence[Mapping[str, Any]]) -> list[str]:

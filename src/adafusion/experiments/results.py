@@ -22,6 +22,7 @@ from adafusion.experiments.jobs import (
     Job,
     Rows,
     all_jobs,
+    kept_after,
     part_curves,
     passes_of,
     row_curve,
@@ -193,6 +194,7 @@ def _row(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
         "converged": not why_not,
         "why_not_ranked": why_not,
         "validation_curve": curve,
+        "kept_after": [kept_after(job) for job in jobs],
         "rising_by_more_than": half_width(best_before(curve), num_answers),
     }
 
