@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from adafusion.config import identity
+from adafusion.config import change_config, identity
 from adafusion.experiments.ablations import REMEDIES
 from adafusion.experiments.catalogue import build_experiment, packaged_recipe
 from adafusion.models import AdaFusion, ModelConfig, load_model, save_model
@@ -211,3 +211,8 @@ def test_every_remedy_changes_what_it_says_and_starts_from_the_headlines_branche
     assert len({(one.name, one.config) for row in rows.values() for one in row.chain()}) == len(
         set(of_names)
     )
+
+
+def test_the_remedy_that_gained_most_has_a_name() -> None:
+    named = packaged_recipe("adafusion-normalised-s")
+    assert named == change_config(packaged_recipe("adafusion-s"), REMEDIES["normalised halves"])

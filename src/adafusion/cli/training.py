@@ -59,7 +59,8 @@ def train(
 
     --model takes small (adafusion, staged, for two cores), paper, and each compared system at the
     size of its paper or, with -s, for two cores: netvlad-s, pointnetvlad-s, minkloc-s, coral-s,
-    pic-net-s, oertel-s. adafusion-lite-s is small with an image branch from ImageNet.
+    pic-net-s, oertel-s. adafusion-lite-s is small with an image branch from ImageNet;
+    adafusion-normalised-s joins branches named in init, each half brought to one length.
 
     Where torchrun starts several processes they share every batch, each on a GPU of its own or all
     on a CPU, and learn what one process would.
