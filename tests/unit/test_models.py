@@ -239,10 +239,10 @@ def test_nonsense_configurations_are_refused() -> None:
         ("image", {"image": ImageSettings(size=(15, 64))}, "at least 16"),
     ],
 )
-def test_an_input_too_small_for_a_branch_is_refused_before_it_is_built(
+def test_an_input_too_small_for_a_branch_is_refused(
     system: System, changes: dict[str, Any], words: str
 ) -> None:
-    with pytest.raises(ValueError, match=words):
-        ModelConfig(system=system, preprocess=Preprocess(**changes))
+    with pytest.raises(UserError, match=words):
+        AdaFusion(ModelConfig(system=system, preprocess=Preprocess(**changes)))
     other: System = "image" if system == "lidar" else "lidar"
-    ModelConfig(system=other, preprocess=Preprocess(**changes))  # which does not look at it
+    AdaFusion(ModelConfig(system=other, preprocess=Preprocess(**changes)))  # looks at the other

@@ -47,6 +47,7 @@ class AdaFusion(PlaceModel):
 
     def __init__(self, config: ModelConfig, name: str = "") -> None:
         super().__init__(config, name)
+        check_room(config)
         half = config.dim // 2
         size = (half, config.width, config.last_norm)
         self.image_net: Backbone | None = None
@@ -182,6 +183,20 @@ def _nothing_yet(inputs: int, outputs: int) -> nn.Linear:
     nn.init.zeros_(layer.weight)
     nn.init.zeros_(layer.bias)
     return layer
+
+
+def check_room(config: ModelConfig) -> None:
+    """UserError for an input that has not a cell left when the branch has halved it."""
+    image, voxels = config.preprocess.image.size, config.preprocess.voxels.shape
+    for sensor, key, size, halvings in (
+        ("image", "image.size", image, 4),
+        ("lidar", "voxels.shape", voxels, 3),
+    ):
+        if sensor in config.sensors and min(size) < 2**halvings:
+            raise UserError(
+                f"{key} {size}: the branch halves it {halvings} times, so every axis must have at "
+                f"least {2**halvings}"
+            )
 
 
 def last_cells(config: ModelConfig) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -95,17 +95,6 @@ class ModelConfig:
             raise ValueError(f"image_backbone {self.image_backbone!r}: choose {choices}")
         if self.image_backbone != "paper" and self.system not in STAGED:
             raise ValueError(f"image_backbone {self.image_backbone}: {self.system} has its own")
-        if self.system in OF_BRANCHES:
-            for sensor, name, size, halvings in (
-                ("image", "image.size", self.preprocess.image.size, 4),
-                ("lidar", "voxels.shape", self.preprocess.voxels.shape, 3),
-            ):
-                least = 2**halvings
-                if sensor in self.sensors and min(size) < least:
-                    raise ValueError(
-                        f"{name} {size}: the branch halves it {halvings} times, so every axis must "
-                        f"have at least {least}"
-                    )
 
     @property
     def branches(self) -> ModelConfig:

@@ -18,6 +18,7 @@ from adafusion.experiments.study import Study, Trained
 from adafusion.experiments.verdict import estimate_share, judge_difference
 from adafusion.models import PlaceModel, build_system, load_model
 from adafusion.preprocess import Preprocess
+from adafusion.types import UserError
 
 TIMES = (0.75, 1.0, 1.25)  # of the size in training, along every axis
 
@@ -70,11 +71,11 @@ def at_size(model: PlaceModel, times: float) -> PlaceModel | None:
     """
     if model.config.pooling == "fc":
         return None
+    config = replace(model.config, preprocess=resized(model.config.preprocess, times))
     try:
-        config = replace(model.config, preprocess=resized(model.config.preprocess, times))
-    except ValueError:
+        other = build_system(config, model.name)
+    except UserError:
         return None
-    other = build_system(config, model.name)
     other.load_state_dict(model.state_dict())
     return other.to(next(model.parameters()).device).eval().requires_grad_(False)
 
