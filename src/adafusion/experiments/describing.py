@@ -11,16 +11,24 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from adafusion.datasets import Dataset
 from adafusion.files import atomic_path
-from adafusion.models import PlaceModel, describe, prepared_batches
+from adafusion.models import PlaceModel, describe, load_model, prepared_batches
 from adafusion.models.frozen import describe_frozen
 from adafusion.preprocess.cache import PreparedSet, prepare_cache
 from adafusion.types import Descriptions, Progress, UserError, silent
 
 DESCRIPTION_VERSION = 1  # raise it when equal models and data come to be described otherwise
 BATCH = 32
+
+
+def load_trained(name: str, file: Path) -> PlaceModel:
+    """Load what a training left, under the training's name, where it is quickest."""
+    model = load_model(file, "cuda" if torch.cuda.is_available() else "cpu")
+    model.name = name
+    return model
 
 
 def describe_frames(

@@ -30,7 +30,7 @@ from adafusion.evaluation import validation_recall
 from adafusion.experiments.budget import batches_of
 from adafusion.experiments.plan import Experiment, Training
 from adafusion.files import fingerprint, write_json
-from adafusion.models import PlaceModel
+from adafusion.models import PlaceModel, read_header
 from adafusion.models.frozen import describe_frozen
 from adafusion.provenance import git_commit, software_versions
 from adafusion.training import TrainConfig, train
@@ -270,11 +270,7 @@ def _mean_curve(trainings: Sequence[Sequence[Job]]) -> list[float]:
 
 def kept_after(job: Job) -> float:
     """After which share of its batches a training's model was kept: 0, as it began."""
-    curve = job.record()["curve"]
-    if job.config.keep == "last":
-        return 1.0
-    best = max(curve, key=lambda line: line[SELECTED_BY])  # the first of equals, as in training
-    return best["batch"] / curve[-1]["batch"]
+    return read_header(job.model)[1]["batches"] / job.record()["batches"]
 
 
 def starts_from_scratch(last: Job) -> bool:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Int64, Shaped
 
 from adafusion.config import to_plain
@@ -29,10 +28,10 @@ from adafusion.evaluation import (
 )
 from adafusion.evaluation.evaluate import BLOCK_M
 from adafusion.evaluation.metrics import place_blocks
-from adafusion.experiments.describing import describe_frames
+from adafusion.experiments.describing import describe_frames, load_trained
 from adafusion.experiments.verdict import Asked
 from adafusion.files import write_json
-from adafusion.models import PlaceModel, load_model
+from adafusion.models import PlaceModel
 from adafusion.types import SENSORS, Descriptions, Progress, Split, UserError, lacking, silent
 
 EVALUATION_VERSION = 1  # raise it when equal models and data come to give other answers
@@ -145,8 +144,7 @@ def evaluate_model(
     frozen: bool = False,
 ) -> dict[str, list[dict[str, Any]]]:
     """Result records of a model file: see `evaluate_loaded`."""
-    model = load_model(file, "cuda" if torch.cuda.is_available() else "cpu")
-    model.name = name
+    model = load_trained(name, file)
     return evaluate_loaded(model, worlds, protocols, cache, out, progress, frozen=frozen)
 
 

@@ -125,6 +125,7 @@ def measure(
         exams=tuple(exams),
         questions=questions[protocols[0]],
         said=said,
+        alpha={row["label"]: row["alpha"] for row in table},
         converged=frozenset(row["label"] for row in table if row["converged"]),
         cache=cache,
         out=out,

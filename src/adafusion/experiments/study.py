@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,8 @@ class Trained:
     questions: Questions  # of the first protocol
     said: Mapping[str, tuple[Answers, ...]]  # by label, the answers to them of each seed
     converged: frozenset[str]  # labels
+    # by label, of each seed's weights the summaries by zone and of "all"; None without weights
+    alpha: Mapping[str, Sequence[Mapping[str, Any] | None]] = field(default_factory=dict)
     cache: Path
     out: Path
     progress: Progress = silent

@@ -6,11 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import torch
-
-from adafusion.experiments.describing import describe_frames
+from adafusion.experiments.describing import describe_frames, load_trained
 from adafusion.experiments.study import Trained
-from adafusion.models import load_model
 from adafusion.types import Descriptions, UserError
 
 WEIGHED = "AdaFusion"  # the row that has weights
@@ -23,10 +20,8 @@ def described_by_seed(trained: Trained, label: str) -> Iterator[tuple[Descriptio
     """
     if label not in trained.rows:
         raise UserError(f"{trained.experiment.name} looks at row {label}: leave it among the rows")
-    device = "cuda" if torch.cuda.is_available() else "cpu"
     for job in trained.rows[label]:
-        model = load_model(job.model, device)
-        model.name = job.name
+        model = load_trained(job.name, job.model)
         yield tuple(
             describe_frames(model, exam.dataset, trained.cache, trained.out, trained.progress)
             for exam in trained.exams

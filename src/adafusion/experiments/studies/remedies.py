@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
+from adafusion.experiments.jobs import kept_after
 from adafusion.experiments.judging import answerable_of
 from adafusion.experiments.page import in_percent
 from adafusion.experiments.picture import picture
@@ -30,7 +31,7 @@ from adafusion.experiments.studies.remedy_facts import (
 )
 from adafusion.experiments.study import Study, Trained
 from adafusion.experiments.verdict import by_seed, judge_difference, plain_verdict
-from adafusion.models import load_model, read_header
+from adafusion.models import load_model
 from adafusion.report import plots
 
 
@@ -45,8 +46,8 @@ def measure_remedies(trained: Trained) -> dict[str, Any]:
         seeds, equal = [], []
         for job, described in zip(jobs, described_by_seed(trained, label), strict=True):
             taught = gradients(load_model(job.model), job.config, data, validation)
-            kept = read_header(job.model)[1]["batches"] / job.record()["batches"]
-            seeds.append({**look(described, worlds), "gradient": taught, "kept": kept})
+            facts = look(described, worlds)
+            seeds.append({**facts, "gradient": taught, "kept": kept_after(job)})
             equal.append(under_equal_weights(described, worlds) == 1)
         rows[label] = {"seeds": seeds, "recall": _recalls(trained, label, np.stack(equal))}
     return {"rows": rows}

@@ -9,14 +9,14 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
-import torch
 
+from adafusion.experiments.describing import load_trained
 from adafusion.experiments.jobs import Job
 from adafusion.experiments.judging import Answers, answerable_of, answers, evaluate_loaded
 from adafusion.experiments.page import in_percent
 from adafusion.experiments.study import Study, Trained
 from adafusion.experiments.verdict import estimate_share, judge_difference
-from adafusion.models import PlaceModel, build_system, load_model
+from adafusion.models import PlaceModel, build_system
 from adafusion.preprocess import Preprocess
 from adafusion.types import UserError
 
@@ -51,8 +51,7 @@ def _said(trained: Trained, jobs: Sequence[Job], times: float) -> tuple[Answers,
     protocol = trained.experiment.protocols[0]
     given = []
     for job in jobs:
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-        model = at_size(load_model(job.model, device), times)
+        model = at_size(load_trained(job.name, job.model), times)
         if model is None:
             return None
         model.name = f"{job.name}, x{times:g}"

@@ -16,17 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Float, Float64, Int64
 
 from adafusion.evaluation import evaluate_splits
 from adafusion.evaluation.validation import region_recall
-from adafusion.experiments.describing import describe_frames
+from adafusion.experiments.describing import describe_frames, load_trained
 from adafusion.experiments.jobs import Job
 from adafusion.experiments.judging import (
     answerable_of,
-    evaluate_model,
-    pooled_alpha,
 )
 from adafusion.experiments.page import in_percent
 from adafusion.experiments.picture import picture
@@ -37,7 +34,6 @@ from adafusion.experiments.verdict import (
     judge_difference,
     plain_verdict,
 )
-from adafusion.models import load_model
 from adafusion.models.frozen import describe_frozen
 from adafusion.report import plots
 from adafusion.types import Descriptions, UserError
@@ -114,8 +110,7 @@ def measure_weighting(trained: Trained) -> dict[str, Any]:
 
 def fixed_shares(job: Job, trained: Trained) -> FixedShares:
     """Judge every share by the unweighted halves of a training on frozen branches."""
-    model = load_model(job.model, "cuda" if torch.cuda.is_available() else "cpu")
-    model.name = job.name
+    model = load_trained(job.name, job.model)
     data = trained.corpus.prepare(model.config.preprocess, trained.cache)
     rows = trained.corpus.rows("validation")
     judge = region_recall(data, rows)
@@ -145,16 +140,9 @@ def at_share(seen: Descriptions, share: float) -> Float[np.ndarray, "n dim"]:
 
 def _alpha(trained: Trained, label: str) -> dict[str, list[float]] | None:
     """Mean weights over all test frames, and their spread, (image, LiDAR); the mean over seeds."""
-    protocol = trained.experiment.protocols[0]
-    summaries = []
-    for job in trained.rows[label]:
-        records = evaluate_model(
-            job.name, job.model, trained.exams, (protocol,), trained.cache, trained.out,
-            frozen=job.config.cache_branches,
-        )  # fmt: skip
-        if (alpha := pooled_alpha(records[protocol])) is None:
-            return None
-        summaries.append(alpha["all"])
+    summaries = [alpha["all"] for alpha in trained.alpha[label] if alpha is not None]
+    if not summaries:
+        return None
     return {
         name: np.mean([one[name] for one in summaries], axis=0).tolist() for name in ("mean", "std")
     }
