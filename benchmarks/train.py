@@ -15,7 +15,7 @@ Parts, of which all but the last are the default (half an hour on two cores):
     precision  fp32 against bf16-mixed
     processes  one process of T threads, T processes of a thread that share each batch, and T
                trainings of a thread side by side
-    recall     frame passes to a validation recall@1 with either sampling: minutes more
+    recall     frame passes to a validation recall@1 with either sampling and precision: an hour
 
 Ratios are what counts: times drift with the machine. Trainings that are compared take turns, batch
 by batch in one process (those of `processes` by whole processes); a ratio is the median over the
@@ -52,6 +52,12 @@ from train_timing import Case, FromFiles, Timing, interleaved, table, with_inter
 MODELS = ("image-s", "lidar-s", "concat-s", "adafusion-s")
 SAMPLED = 48  # frames a batch where samplings are compared: both can make as many
 PROCESS_ROUNDS = 3
+PRECISIONS = ("32-true", "bf16-mixed")
+RACED = {  # sampling and precision of trainings that race to a recall
+    "pairs": ("pairs", "32-true"),
+    "batch": ("batch", "32-true"),
+    "batch, bf16-mixed": ("batch", "bf16-mixed"),
+}
 JUDGED = 20  # times, of a training to a recall
 
 
@@ -144,7 +150,9 @@ def ask_input(bench: Bench) -> list[str]:
 def ask_precision(bench: Bench) -> list[str]:
     """All digits against half of them."""
     case = bench.case("adafusion-s", bench.arguments.frames[0])
-    cases = {name: replace(case, precision=name) for name in ("32-true", "bf16-mixed")}
+    cases = {
+        name: replace(case, config=replace(case.config, precision=name)) for name in PRECISIONS
+    }
     return ["adafusion-s.", "", *table(bench.timed(cases), lambda name: "32-true")]
 
 
@@ -188,20 +196,20 @@ def ask_recall(bench: Bench) -> list[str]:
         f"| | passes to {a.target:.0%} | recall@1 in percent, every {every * SAMPLED:,} passes |",
         "|---|---|---|",
     ]
-    for mode in ("pairs", "batch"):
+    for name, (mode, precision) in RACED.items():
         case = bench.case("lidar-s", SAMPLED, mode=mode, items=SAMPLED // 3)
-        config = replace(case.config, batches=batches, evaluate_every=every)
+        config = replace(case.config, batches=batches, evaluate_every=every, precision=precision)
         judge = validation_recall(case.data, bench.corpus.rows("validation", ["lidar"]))
         passes, recalls = 0, []
         for step in train(
-            config, case.data, case.rows, judge, bench.scratch / mode, accelerator=a.accelerator
+            config, case.data, case.rows, judge, bench.scratch / name, accelerator=a.accelerator
         ):
             passes += step.frames
             recalls += [step.validation["recall@1"]] if step.validation else []
             if recalls[-1] >= a.target:
                 break
         needed = f"{passes:,}" if recalls[-1] >= a.target else "not reached"
-        lines.append(f"| {mode} | {needed} | {' '.join(f'{100 * r:.1f}' for r in recalls)} |")
+        lines.append(f"| {name} | {needed} | {' '.join(f'{100 * r:.1f}' for r in recalls)} |")
     return lines
 
 

@@ -34,7 +34,6 @@ class Case:
     config: TrainConfig
     data: PreparedSet
     rows: Int[np.ndarray, " n"]
-    precision: str = "32-true"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +83,7 @@ def interleaved(
 def timed_batches(case: Case, out: Path, accelerator: str) -> Iterator[tuple[float, ...]]:
     """Seconds, seconds waited, frames and pairs of each batch."""
     config = case.config
-    steps = begin(
-        config, case.data, case.rows, out, accelerator=accelerator, precision=case.precision
-    )
+    steps = begin(config, case.data, case.rows, out, accelerator=accelerator)
     sampler = Sampler(config.sampling, case.data, case.rows, config.seed)
     for batch in sampler.batches(0, ENDLESS):  # the same once more, for their pairs
         began = time.perf_counter()

@@ -77,11 +77,10 @@ def learn(config: TrainConfig, ranks: Ranks) -> Learnt:
 
 def few_batches(config: TrainConfig, data: PreparedSet, out: Path, ranks: Ranks) -> None:
     """Train, stop on the way and go on, in double: rounding grows from batch to batch."""
+    config = replace(config, precision="64-true")
     arguments = (config, data, np.arange(len(data)), lambda model: {"recall@1": 0.5}, out)
     for resume, steps in ((False, 3), (True, None)):
-        begun = train(
-            *arguments, resume=resume, precision="64-true", accelerator="cpu", ranks=ranks
-        )
+        begun = train(*arguments, resume=resume, accelerator="cpu", ranks=ranks)
         list(islice(begun, steps))
 
 

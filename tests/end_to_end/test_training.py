@@ -140,6 +140,20 @@ def test_the_same_seed_trains_the_same_and_another_does_not(
     assert first != other
 
 
+@pytest.mark.parametrize("loss", [Loss(), Loss(kind="margin"), Loss(kind="batch-hard", margin=0.2)])
+def test_half_precision_learns_nearly_the_same_into_whole_weights(
+    config: TrainConfig, data: PreparedSet, tmp_path: Path, loss: Loss
+) -> None:
+    # one step each: what rounding leaves grows with every further one
+    single = replace(config, batches=1, loss=loss)
+    half = replace(single, precision="bf16-mixed")
+    (whole,), (rounded,) = (run(c, data, tmp_path / c.precision) for c in (single, half))
+    assert rounded != whole
+    assert rounded == pytest.approx(whole, rel=0.05)
+    kept = load_model(tmp_path / "bf16-mixed" / "model.safetensors")
+    assert {p.dtype for p in kept.parameters()} == {torch.float32}
+
+
 def test_the_best_on_validation_is_kept(
     config: TrainConfig, data: PreparedSet, tmp_path: Path
 ) -> None:

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from adafusion.training import Step
 
 Accelerator = Literal["auto", "cpu", "cuda"]
-Precision = Literal["32-true", "bf16-mixed"]  # 16-mixed scales losses by a state no resume keeps
 DONE = "done"  # a phase of a staged training that ran to its end
 
 
@@ -49,7 +48,6 @@ def train(
     accelerator: Annotated[
         Accelerator, typer.Option(help="auto: an NVIDIA GPU where there is one, else the CPU.")
     ] = "auto",
-    precision: Annotated[Precision, typer.Option(help="Of the network's arithmetic.")] = "32-true",
 ) -> None:
     """Train a model on prepared or simulated datasets.
 
@@ -139,7 +137,6 @@ def train(
                 card=card,
                 cache=folder,
                 accelerator=accelerator,
-                precision=precision,
                 ranks=ranks,
             )
             if not ranks.is_first:

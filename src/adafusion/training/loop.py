@@ -92,7 +92,6 @@ def train(
     card: Mapping[str, Any] | None = None,
     cache: str | Path | None = None,
     accelerator: str = "auto",
-    precision: str = "32-true",
     ranks: Ranks = ALONE,
 ) -> Iterator[Step]:
     """Train one phase on `rows` of `data`, yielding a `Step` after each batch.
@@ -135,7 +134,7 @@ def train(
     if accelerator == "auto":  # an Apple GPU lacks operations on volumes that the network needs
         accelerator = "cuda" if torch.cuda.is_available() else "cpu"
     own = 1 if ranks.is_alone or accelerator == "cpu" else [ranks.local]
-    fabric = Fabric(accelerator=accelerator, devices=own, precision=precision)
+    fabric = Fabric(accelerator=accelerator, devices=own, precision=config.precision)
     model = build_model(config)
     if not resume:
         looked_at = np.random.default_rng((config.seed, 2)).permutation(rows)[:BEGIN_FRAMES]
@@ -148,7 +147,7 @@ def train(
     scheduler = build_scheduler(config, optimizer, lambda: (gone(), length))
     network: nn.Module = FusionOnly(model) if config.cache_branches else model
     wrapped, optimizer = fabric.setup(use_channels_last(network), optimizer)
-    same = {"data": _data_fingerprint(data, rows), "precision": precision}
+    same = {"data": _data_fingerprint(data, rows), "precision": config.precision}
     if resume:  # after the setup, which moves the model to its device
         done, passes, best = restore_checkpoint(out, model, optimizer, scheduler, sampler, same)
         use_channels_last(model)

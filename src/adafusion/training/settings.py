@@ -98,6 +98,9 @@ class Sampling:
             raise ValueError(f"need 0 < d_pos_m <= d_neg_m, not {self.d_pos_m} and {self.d_neg_m}")
 
 
+# 16-mixed scales losses by a state that no resume keeps
+Precision = Literal["32-true", "bf16-mixed", "64-true"]
+
 # losses that look at whole tuples, and those that look at whole batches
 TUPLE_LOSSES = ("triplet", "lazy-triplet", "lazy-quadruplet", "hard-quadruplet")
 LossKind = Literal[
@@ -241,6 +244,7 @@ class TrainConfig:
     keep: Literal["best", "last"] = "best"  # on validation: what becomes model.safetensors
     initialisation: Literal["framework", "he"] = "he"
     imagenet: str | None = None  # weights for the image network: a file, or efficientnet-lite0
+    precision: Precision = "32-true"  # of the arithmetic while learning; bf16-mixed: half the time
     norms: bool = True  # batch norm after every convolution, folded away in what is saved
     init: tuple[str, ...] = ()  # model files whose branches this training starts from
     take_weights: bool = False  # from those files, what fuses the branches as well
