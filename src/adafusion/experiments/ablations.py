@@ -227,6 +227,7 @@ def ablation_weights(recipe: Recipe, passes: int) -> Experiment:
             ("3 levels", "VL"),
         ),
         study=WEIGHTING,
+        studied=tuple(label for label in WEIGHTINGS if label != "attended features"),
     )
 
 

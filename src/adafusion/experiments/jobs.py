@@ -3,7 +3,6 @@
 """The trainings of an experiment: shared by content, resumed where they were killed.
 
     <out>/trainings/<name>-seed<n>-<key>/   one training; training.json is written when it is done
-    <out>/trainings/.../curve.json          its evaluations so far
 
 The key is that of the effective configuration, the keys of the trainings it starts from, the data
 and the version of this code. So another experiment, a longer list of seeds or a repeated command
@@ -14,7 +13,6 @@ from __future__ import annotations
 
 import json
 import logging
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,7 +32,7 @@ from adafusion.models import PlaceModel, read_header
 from adafusion.models.frozen import describe_frozen
 from adafusion.provenance import git_commit, software_versions
 from adafusion.training import TrainConfig, train
-from adafusion.training.checkpoint import STATE_FILE
+from adafusion.training.checkpoint import STATE_FILE, read_standing
 from adafusion.training.corpus import Corpus
 from adafusion.training.loop import MODEL_FILE, SELECTED_BY
 from adafusion.types import Descriptions, Progress, silent
@@ -43,7 +41,7 @@ from adafusion.workers import map_in_processes
 log = logging.getLogger(__name__)
 
 TRAINING_VERSION = 1  # raise it when an equal configuration comes to train to other weights
-RECORD_FILE, CURVE_FILE = "training.json", "curve.json"
+RECORD_FILE = "training.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,10 +179,7 @@ def train_job(job: Job, corpus: Corpus, cache: Path, progress: Progress = silent
 def _train(job: Job, corpus: Corpus, cache: Path, progress: Progress) -> None:
     data = corpus.prepare(job.config.model.preprocess, cache)
     rows, judges = corpus.rows("train"), corpus.rows("validation")
-    curve = job.folder / CURVE_FILE
     resume = job.state == "begun"
-    # what a start that came to no checkpoint left is none of this training's
-    evaluations = json.loads(curve.read_text(encoding="utf-8")) if resume else []
 
     def by_cache(model: PlaceModel, rows: Int[np.ndarray, " n"]) -> Descriptions:
         return describe_frozen(model, data, rows, cache)
@@ -202,20 +197,11 @@ def _train(job: Job, corpus: Corpus, cache: Path, progress: Progress) -> None:
     )
     left = job.config.batches  # None where that depends on how batches grow
     if left is not None:  # a new training yields a step before its first batch
-        left = left - _state(job)["done"] if resume else left + 1
-    began = time.perf_counter()
+        left = left - read_standing(job.folder).batches if resume else left + 1
     for step in progress(steps, total=left, desc=job.name):
-        if step.validation is None:
-            continue
-        now = time.perf_counter()
-        line = {"batch": step.batch, "seconds": round(now - began, 1), **step.validation}
-        began = now
-        evaluations.append(line)
-        write_json(curve, evaluations)
-        log.info("%s, batch %d: %s", job.name, step.batch, line)
-    state = _state(job)
-    batches = int(state["done"])
-    mining = job.config.sampling.mining
+        if step.validation is not None:
+            log.info("%s, batch %d: %s", job.name, step.batch, step.validation)
+    ended = read_standing(job.folder)
     write_json(
         job.folder / RECORD_FILE,
         {
@@ -223,24 +209,19 @@ def _train(job: Job, corpus: Corpus, cache: Path, progress: Progress) -> None:
             "key": job.key,
             "config": to_plain(job.config),
             "data": corpus.facts(),
-            "batches": batches,
-            "frame_passes": int(state["passes"]),
-            "mining_passes": 0 if mining is None else len(rows) * mining.times(batches - 1),
-            "validation_passes": len(judges) * len(evaluations),
-            "best": float(state["best"]),
-            "curve": evaluations,
-            "seconds": round(sum(line["seconds"] for line in evaluations), 1),
+            "batches": ended.batches,
+            "frame_passes": ended.passes,
+            "mining_passes": ended.mining_passes,
+            "validation_passes": len(judges) * len(ended.curve),
+            "best": ended.best,
+            "curve": ended.curve,
+            "seconds": round(ended.seconds, 1),
             "threads": torch.get_num_threads(),
             "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
             "software": software_versions(),
             "commit": git_commit(),
         },
     )
-
-
-def _state(job: Job) -> dict[str, Any]:
-    """What the last checkpoint says of a training."""
-    return torch.load(job.folder / STATE_FILE, map_location="cpu", weights_only=True)
 
 
 def row_curve(jobs: Sequence[Job]) -> list[float]:

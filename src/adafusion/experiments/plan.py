@@ -70,9 +70,13 @@ class Experiment:
     seeds: tuple[int, ...]
     verdicts: tuple[tuple[str, str], ...] = ()  # labels: does the first do better than the second?
     study: Study | None = None  # what is looked at beside the table
+    studied: tuple[str, ...] = ()  # labels: the study needs at least one of these rows
 
     def only(self, labels: list[str]) -> Experiment:
-        """The same experiment with some of its rows; UserError for a label that is none."""
+        """The same experiment with some of its rows.
+
+        UserError for a label that is none, and where the study would have nothing to look at.
+        """
         known = {row.label.lower() for row in self.rows}
         wanted = {label.lower() for label in labels}
         unknown = [label for label in labels if label.lower() not in known]
@@ -81,6 +85,8 @@ class Experiment:
                 f"{self.name} has no row {', '.join(unknown) or 'without a label'}: "
                 "choose from " + ", ".join(row.label for row in self.rows)
             )
+        if self.studied and wanted.isdisjoint(label.lower() for label in self.studied):
+            raise UserError(f"{self.name} needs at least one row of {', '.join(self.studied)}")
         rows = tuple(row for row in self.rows if row.label.lower() in wanted)
         pairs = tuple(pair for pair in self.verdicts if {p.lower() for p in pair} <= wanted)
         return replace(self, rows=rows, verdicts=pairs)

@@ -8,8 +8,9 @@ names it and is read as plain tensors and numbers.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,19 @@ from adafusion.models import PlaceModel
 from adafusion.training.sampler import Course, Sampler
 from adafusion.training.settings import TrainConfig
 from adafusion.types import UserError
+
+
+@dataclass(kw_only=True)
+class Standing:
+    """How far a training is, and how it came there."""
+
+    batches: int = 0
+    passes: int = 0  # frame passes that taught
+    mining_passes: int = 0  # and those that chose wrong matches
+    seconds: float = 0.0  # without what a kill undid
+    best: float = -math.inf  # recall@1 on validation of the model kept so far
+    curve: list[dict[str, Any]] = field(default_factory=list)  # a line an evaluation
+
 
 CONFIG_FILE = "train.yaml"
 STATE_FILE = "state.pt"  # where a resumed training goes on
@@ -58,22 +72,18 @@ def save_checkpoint(
     optimizer: Any,
     scheduler: Any,
     sampler: Sampler,
-    done: int,
-    passes: int,
-    best: float,
+    standing: Standing,
     same: Mapping[str, str],
 ) -> None:
     """Write weights, then the state that names them: a kill in between leaves the last pair."""
-    weights = f"weights-{done}.safetensors"
+    weights = f"weights-{standing.batches}.safetensors"
     with atomic_path(out / weights) as temporary:
         save_file(
             {k: v.detach().cpu().contiguous() for k, v in model.state_dict().items()}, temporary
         )
     state = {
         "weights": weights,
-        "done": done,
-        "passes": passes,
-        "best": best,
+        "standing": asdict(standing),
         "same": dict(same),
         "course": asdict(sampler.course),
         "optimizer": optimizer.state_dict(),
@@ -84,8 +94,14 @@ def save_checkpoint(
     for old in out.glob("weights-*.safetensors"):
         if old.name != weights:
             old.unlink()
-    for _, old in _described_before(out, done)[:-1]:
+    for _, old in _described_before(out, standing.batches)[:-1]:
         old.unlink()
+
+
+def read_standing(out: Path) -> Standing:
+    """How far the training in `out` was at its last checkpoint."""
+    state = torch.load(out / STATE_FILE, map_location="cpu", weights_only=True)
+    return Standing(**state["standing"])
 
 
 def keep_described(out: Path, done: int, descriptors: Float[np.ndarray, "n d"]) -> None:
@@ -118,8 +134,8 @@ def restore_checkpoint(
     scheduler: Any,
     sampler: Sampler,
     same: Mapping[str, str],
-) -> tuple[int, int, float]:
-    """Take training up where the last checkpoint left it: batches, frame passes, best recall.
+) -> Standing:
+    """Take training up where the last checkpoint left it.
 
     `same` is what must not have changed since, by name.
     """
@@ -131,9 +147,8 @@ def restore_checkpoint(
         model.load_state_dict(load_file(out / state["weights"]))
         optimizer.load_state_dict(state["optimizer"])
         scheduler.load_state_dict(state["scheduler"])
-        if "course" in state:  # without one, batches had one size
-            sampler.go_on(Course(**state["course"]))
-        return int(state["done"]), int(state["passes"]), float(state["best"])
+        sampler.go_on(Course(**state["course"]))
+        return Standing(**state["standing"])
     except Exception as error:
         raise UserError(
             f"{path}: cannot be resumed ({type(error).__name__}: {error}); train into a new folder"

@@ -37,6 +37,7 @@ from adafusion.models import (
 from adafusion.models.frozen import FrozenSet, FusionOnly, freeze
 from adafusion.preprocess.cache import PreparedSet
 from adafusion.training.checkpoint import (
+    Standing,
     claim,
     keep_described,
     restore_checkpoint,
@@ -121,15 +122,15 @@ def train(
     ranks.wait()  # also for what the first one wrote of a phase before
     sampler = Sampler(config.sampling, data, rows, config.seed)
     length = config.batches or config.passes or config.epochs * sampler.batches_per_epoch
-    done, passes, best = 0, 0, -math.inf
+    at, began = Standing(), time.perf_counter()
 
     def gone() -> int:
         """How much of the length is behind, in batches or in frame passes."""
-        return passes if config.counts_passes else done
+        return at.passes if config.counts_passes else at.batches
 
     def in_all(frames: int) -> int:
         left = max(0, length - gone())
-        return done + -(-left // (frames if config.counts_passes else 1))
+        return at.batches + -(-left // (frames if config.counts_passes else 1))
 
     if accelerator == "auto":  # an Apple GPU lacks operations on volumes that the network needs
         accelerator = "cuda" if torch.cuda.is_available() else "cpu"
@@ -149,9 +150,10 @@ def train(
     wrapped, optimizer = fabric.setup(use_channels_last(network), optimizer)
     same = {"data": _data_fingerprint(data, rows), "precision": config.precision}
     if resume:  # after the setup, which moves the model to its device
-        done, passes, best = restore_checkpoint(out, model, optimizer, scheduler, sampler, same)
+        at = restore_checkpoint(out, model, optimizer, scheduler, sampler, same)
+        began -= at.seconds
         use_channels_last(model)
-        sampler.described = restore_described(out, done)
+        sampler.described = restore_described(out, at.batches)
     ranks.unite(model)
     frozen: FrozenSet | None = None
     if config.cache_branches and cache is not None:  # the branches are now what they will stay
@@ -166,15 +168,18 @@ def train(
             lambda: describe(model, prepared_batches(data, rows, MINING_BATCH)).fused
         )
         assert sampler.described is not None
+        at.mining_passes += len(rows)
         if ranks.is_first:
-            keep_described(out, done, sampler.described)
+            keep_described(out, at.batches, sampler.described)
 
     def evaluate() -> tuple[Mapping[str, float], bool]:
-        nonlocal best
         values = ranks.from_first(lambda: validate(model.eval()))
         model.train()
-        if is_best := values[SELECTED_BY] > best:
-            best = values[SELECTED_BY]
+        if is_best := values[SELECTED_BY] > at.best:
+            at.best = values[SELECTED_BY]
+        at.seconds = time.perf_counter() - began
+        here = {"batch": at.batches, "frame_passes": at.passes, "seconds": round(at.seconds, 1)}
+        at.curve.append({**here, **values})
         if ranks.is_first and (is_best or config.keep == "last"):
             save_model(
                 folded(model),
@@ -186,15 +191,15 @@ def train(
                     "init": [
                         {"file": f, "fingerprint": load_model(f).fingerprint} for f in config.init
                     ],
-                    "batches": done,
-                    "frame_passes": passes,
-                    "mining_passes": 0 if mining is None else len(rows) * mining.times(done - 1),
+                    "batches": at.batches,
+                    "frame_passes": at.passes,
+                    "mining_passes": at.mining_passes,
                     "validation": dict(values),
                 },
             )
         return values, is_best
 
-    if done == 0:
+    if at.batches == 0:
         values, is_best = evaluate()  # the untrained twin: what training has to beat
         yield Step(
             batch=0,
@@ -206,15 +211,15 @@ def train(
             learning_rate=optimizer.param_groups[0]["lr"],
             validation=values,
             is_best=is_best,
-            best=best,
+            best=at.best,
         )
-    if mining is not None and done == 0 and mining.is_due(0):
+    if mining is not None and at.batches == 0 and mining.is_due(0):
         mine()
-    batches = sampler.batches(first=done)
+    batches = sampler.batches(first=at.batches)
     while gone() < length:
         start, before = time.perf_counter(), gone()
         batch = next(batches)
-        key, part = (config.seed, done), ranks.part(len(batch.rows))
+        key, part = (config.seed, at.batches), ranks.part(len(batch.rows))
         inputs: tuple[Tensor | None, ...]
         if frozen is None:
             inputs = batch_inputs(model, data, batch, config.augment, points, key, part)
@@ -230,12 +235,12 @@ def train(
         value = loss.item()
         if not math.isfinite(value):
             raise JobFailed(
-                f"{out}: the loss of batch {done + 1} is {value}; train into another folder with a "
-                "lower optimiser.learning_rate"
+                f"{out}: the loss of batch {at.batches + 1} is {value}; train into another folder "
+                "with a lower optimiser.learning_rate"
             )
         learning_rate = optimizer.param_groups[0]["lr"]
         optimizer.step()
-        done, passes = done + 1, passes + len(batch.rows)
+        at.batches, at.passes = at.batches + 1, at.passes + len(batch.rows)
         if config.optimiser.schedule != "plateau":
             scheduler.step()
         if config.sampling.growth is not None:
@@ -249,13 +254,14 @@ def train(
             validation, is_best = evaluate()
             if config.optimiser.schedule == "plateau":
                 scheduler.step(validation[SELECTED_BY])
-        if mining is not None and mining.is_due(done) and not is_over:
+        if mining is not None and mining.is_due(at.batches) and not is_over:
             mine()
-        if ranks.is_first and (done % config.checkpoint_every == 0 or validation is not None):
-            counts = (done, passes, best)
-            save_checkpoint(out, model, optimizer, scheduler, sampler, *counts, same)
+        is_due = at.batches % config.checkpoint_every == 0 or validation is not None
+        if ranks.is_first and is_due:
+            at.seconds = time.perf_counter() - began
+            save_checkpoint(out, model, optimizer, scheduler, sampler, at, same)
         yield Step(
-            batch=done,
+            batch=at.batches,
             batches=in_all(len(batch.rows)),
             loss=value,
             active=active,
@@ -265,7 +271,7 @@ def train(
             waited=waited,
             validation=validation,
             is_best=is_best,
-            best=best,
+            best=at.best,
         )
 
 

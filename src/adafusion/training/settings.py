@@ -36,10 +36,6 @@ class Mining:
         """Whether all frames are described anew after so many batches."""
         return done >= self.after and (done - self.after) % self.every == 0
 
-    def times(self, done: int) -> int:
-        """How often that has happened, before the batch that follows."""
-        return 0 if done < self.after else 1 + (done - self.after) // self.every
-
 
 @dataclass(frozen=True, kw_only=True)
 class Growth:

@@ -36,7 +36,7 @@ from adafusion.experiments.verdict import (
 )
 from adafusion.models.frozen import describe_frozen
 from adafusion.report import plots
-from adafusion.types import Descriptions, UserError
+from adafusion.types import Descriptions
 
 SHARES = tuple(i / 20 for i in range(21))  # of the image; the LiDAR has the rest
 EQUAL = SHARES.index(0.5)
@@ -60,17 +60,13 @@ class FixedShares:
 def measure_weighting(trained: Trained) -> dict[str, Any]:
     """Recall of fixed shares, each row's gain over them, and what its weights are like.
 
-    UserError where no row was trained on frozen branches.
+    The shares are of the branches of the first row that was trained on frozen ones.
     """
     frozen = {
         label: jobs
         for label, jobs in trained.rows.items()
         if jobs[0].config.cache_branches and not jobs[0].config.model.attend_features
     }
-    if not frozen:
-        raise UserError(
-            f"{trained.experiment.name} compares weights on frozen branches: leave a row of them"
-        )
     fixed = [fixed_shares(job, trained) for job in next(iter(frozen.values()))]
     asked, answerable = answerable_of(next(iter(trained.said.values())), trained.questions)
     hits = np.stack([one.hits for one in fixed])[:, :, answerable]  # (seed, share, q)
