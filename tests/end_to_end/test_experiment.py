@@ -253,6 +253,27 @@ def test_what_is_asked_wrongly_is_answered_with_the_remedy(
 
 
 @pytest.mark.parametrize(
+    "words",
+    [
+        ["nothing"],
+        ["headline", "--rows", "W"],
+        ["headline", "--seeds", "a"],
+        ["headline", "--set", "model.widht=1"],
+        ["ablation-weights", "--rows", "VL,AdaFusion"],
+    ],
+)
+def test_no_world_is_rendered_for_a_mistake(
+    type_in, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    monkeypatch.setattr(
+        "adafusion.cli.experiment.open_data", lambda *_: pytest.fail("data were opened")
+    )
+    said = type_in("experiment", *words)
+    assert said.code == 2
+    assert "configs" not in said.err, "a file is named that nobody gave"
+
+
+@pytest.mark.parametrize(
     ("option", "region", "remedy"),
     [
         ("--train", "validation", "adafusion split"),

@@ -8,6 +8,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -17,7 +18,7 @@ import typer
 from adafusion.cli.common import Cache, bar, cache_folder, open_data, say, split_names
 
 if TYPE_CHECKING:
-    from adafusion.experiments import Job
+    from adafusion.experiments import Experiment, Job, Recipe
     from adafusion.training import TrainConfig
 
 T = TypeVar("T")
@@ -89,6 +90,15 @@ def experiment(
         return
     if (train is None) != (test is None):
         raise UserError("give both --train and --test, or a --world that has both parts")
+    changes = tuple(change or ())
+    labels = None if rows is None else split_names(rows)
+
+    def build(recipe: Recipe, passes: int) -> Experiment:
+        whole = e.build_experiment(name, recipe, passes)
+        return whole if labels is None else whole.only(labels)
+
+    rough = build(partial(e.packaged_recipe, changes=changes), 1)
+    chosen = rough.seeds if seeds is None else _numbers(seeds)  # no mistake waits for a rendering
     teaches = train or [Path(world) / "train"]
     judges = test or [Path(world) / "test"]
     corpus = Corpus(tuple(open_data(path, cache) for path in teaches))
@@ -99,13 +109,9 @@ def experiment(
         budget = known or e.PASSES_A_FRAME * frames
 
     def recipe(training: str) -> TrainConfig:
-        settings = e.packaged_recipe(training, tuple(change or ()))
-        return with_camera(settings, corpus.datasets[0])
+        return with_camera(e.packaged_recipe(training, changes), corpus.datasets[0])
 
-    asked = e.build_experiment(name, recipe, budget)
-    if rows is not None:
-        asked = asked.only(split_names(rows))
-    chosen = asked.seeds if seeds is None else _numbers(seeds)
+    asked = build(recipe, budget)
     planned = e.plan_jobs(asked, chosen, corpus, out)
     jobs = e.all_jobs(planned)
     if plan:

@@ -12,7 +12,7 @@ from adafusion.experiments.catalogue import (
 from adafusion.experiments.jobs import Job, all_jobs, plan_jobs, train_jobs
 from adafusion.experiments.judging import ExamData
 from adafusion.experiments.page import page
-from adafusion.experiments.plan import Experiment
+from adafusion.experiments.plan import Experiment, Recipe
 from adafusion.experiments.results import measure
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "ExamData",
     "Experiment",
     "Job",
+    "Recipe",
     "all_jobs",
     "build_experiment",
     "measure",

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from adafusion.config import configs_folder, load_config
+from adafusion.config import change_config, configs_folder, load_config
 from adafusion.experiments.ablations import (
     ablation_input,
     ablation_loss,
@@ -60,4 +60,4 @@ def build_experiment(name: str, recipe: Recipe, passes: int) -> Experiment:
 
 def packaged_recipe(name: str, changes: tuple[str, ...] = ()) -> TrainConfig:
     """Read a training that comes with the package, with keys changed as `train --set` does."""
-    return load_config(TrainConfig, configs_folder() / f"{name}.yaml", changes)
+    return change_config(load_config(TrainConfig, configs_folder() / f"{name}.yaml"), changes)
