@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,21 @@ import pytest
 
 from adafusion.cli import main
 from adafusion.datasets import Dataset
+from adafusion.experiments import (
+    ExamData,
+    all_jobs,
+    build_experiment,
+    measure,
+    packaged_recipe,
+    page,
+    plan_jobs,
+    train_jobs,
+)
 from adafusion.models import ModelConfig
 from adafusion.preprocess import ImageSettings, Preprocess, VoxelGrid
 from adafusion.sim.exports import export
 from adafusion.sim.simulate import simulate
+from adafusion.training.corpus import Corpus
 from adafusion.types import Progress
 
 
@@ -52,6 +64,48 @@ def tiny_model() -> ModelConfig:
             image=ImageSettings(size=(48, 64)), voxels=VoxelGrid(shape=(16, 16, 8))
         ),
     )
+
+
+@pytest.fixture(scope="session")
+def tiny_changes() -> tuple[str, ...]:
+    """What makes every training of an experiment one of tiny models and batches."""
+    return (
+        "model.width=0.125",
+        "model.dim=16",
+        "model.preprocess.image.size=[48,64]",
+        "model.preprocess.voxels.shape=[16,16,12]",
+        "sampling.places=4",
+    )
+
+
+@pytest.fixture(scope="session")
+def tiny_words(tiny_changes: tuple[str, ...]) -> list[str]:
+    """The same for a command line."""
+    return [word for change in tiny_changes for word in ("--set", change)]
+
+
+@pytest.fixture
+def run_experiment(
+    tiny_world: Dataset, tiny_changes: tuple[str, ...], cache: Path, tmp_path: Path
+) -> Callable[..., tuple[dict[str, Any], str]]:
+    """Train and judge some rows of an experiment in `tmp_path`; its results and its page."""
+
+    def run(name: str, labels: list[str], budget: int = 160) -> tuple[dict[str, Any], str]:
+        recipe = partial(packaged_recipe, changes=tiny_changes)
+        experiment = build_experiment(name, recipe, budget).only(labels)
+        corpus = Corpus((tiny_world,))
+        rows = plan_jobs(experiment, [0], corpus, tmp_path)
+        list(train_jobs(all_jobs(rows), corpus, cache))
+        exams = [ExamData.of(tiny_world)]
+        told = {"passes": budget, "seeds": [0], "command": ""}
+        results = measure(experiment, rows, corpus, exams, cache, tmp_path, **told)
+        results = json.loads(json.dumps(results))  # as they are kept
+        assert experiment.study is not None
+        if experiment.study.draw is not None:
+            experiment.study.draw(results, tmp_path / "picture.png")
+        return results, page(results, experiment.study.section(results["study"]))
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -35,14 +35,6 @@ from adafusion.training.settings import Mining, Sampling
 from adafusion.types import UserError
 
 BUDGET = 160
-TINY = (
-    "model.width=0.125",
-    "model.dim=16",
-    "model.preprocess.image.size=[48,64]",
-    "model.preprocess.voxels.shape=[16,16,8]",
-    "sampling.places=4",
-)
-SMALL = [word for change in TINY for word in ("--set", change)]
 
 
 @pytest.fixture
@@ -51,11 +43,11 @@ def corpus(tiny_world: Dataset) -> Corpus:
 
 
 @pytest.fixture
-def branch(corpus: Corpus, tmp_path: Path):
+def branch(corpus: Corpus, tiny_changes: tuple[str, ...], tmp_path: Path):
     """The LiDAR branch of the headline, planned into a folder."""
 
-    def plan(out: str, seed: int = 0, changes: tuple[str, ...] = TINY) -> Job:
-        recipe = partial(packaged_recipe, changes=changes)
+    def plan(out: str, seed: int = 0, further: tuple[str, ...] = ()) -> Job:
+        recipe = partial(packaged_recipe, changes=(*tiny_changes, *further))
         rows = build_experiment("headline", recipe, BUDGET).only(["L"])
         return all_jobs(plan_jobs(rows, [seed], corpus, tmp_path / out))[0]
 
@@ -64,9 +56,9 @@ def branch(corpus: Corpus, tmp_path: Path):
 
 @pytest.mark.slow
 def test_the_headline_and_again_and_another_experiment_from_the_same_trainings(
-    type_in, tiny_world: Dataset, tmp_path: Path
+    type_in, tiny_world: Dataset, tiny_words: list[str], tmp_path: Path
 ) -> None:
-    words = ["--train", tiny_world.root, "--test", tiny_world.root, "--out", tmp_path, *SMALL]
+    words = ["--train", tiny_world.root, "--test", tiny_world.root, "--out", tmp_path, *tiny_words]
     words += ["--budget", BUDGET, "--seeds", "0,1", "--rows", "L,VL,AdaFusion"]
     said = type_in("experiment", "headline", *words, "--plan")
     assert said.code == 0, said.err
@@ -113,7 +105,12 @@ def test_the_list_tells_every_experiment_with_its_rows(type_in) -> None:
 
 @pytest.mark.parametrize("where", ["a named world", "own data"])
 def test_the_budget_is_the_worlds_or_follows_from_the_frames(
-    type_in, tiny_world: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
+    type_in,
+    tiny_world: Dataset,
+    tiny_words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    where: str,
 ) -> None:
     opened = []
 
@@ -124,7 +121,7 @@ def test_the_budget_is_the_worlds_or_follows_from_the_frames(
     monkeypatch.setattr("adafusion.cli.experiment.open_data", open_data)
     named = where == "a named world"
     data = ["--world", "world-v1-tiny"] if named else ["--train", "mine", "--test", "other"]
-    said = type_in("experiment", "headline", *data, "--out", tmp_path, "--plan", *SMALL)
+    said = type_in("experiment", "headline", *data, "--out", tmp_path, "--plan", *tiny_words)
     assert said.code == 0, said.err
     passes = 512 if named else 40 * len(Corpus((tiny_world,)).rows("train"))
     assert f"budget of {passes:,} frame passes" in said.out
@@ -160,11 +157,13 @@ def test_a_killed_training_goes_on_and_two_side_by_side_do_as_one(
 def test_a_training_is_known_by_its_content_wherever_it_lies(branch) -> None:
     assert branch("a").key == branch("b").key
     assert branch("a").key != branch("a", seed=1).key
-    assert branch("a").key != branch("a", changes=(*TINY, "augment.color=0")).key
+    assert branch("a").key != branch("a", further=("augment.color=0",)).key
 
 
-def test_rows_that_changes_make_equal_share_one_training(corpus: Corpus, tmp_path: Path) -> None:
-    recipe = partial(packaged_recipe, changes=(*TINY, "augment.color=0"))
+def test_rows_that_changes_make_equal_share_one_training(
+    corpus: Corpus, tiny_changes: tuple[str, ...], tmp_path: Path
+) -> None:
+    recipe = partial(packaged_recipe, changes=(*tiny_changes, "augment.color=0"))
     experiment = build_experiment("ablation-input", recipe, BUDGET).only(
         ["V", "V no colour jitter"]
     )
@@ -281,7 +280,13 @@ def test_no_world_is_rendered_for_a_mistake(
     ],
 )
 def test_data_without_a_region_are_refused_before_anything_is_trained(
-    type_in, tiny_world: Dataset, tmp_path: Path, option: str, region: str, remedy: str
+    type_in,
+    tiny_world: Dataset,
+    tiny_words: list[str],
+    tmp_path: Path,
+    option: str,
+    region: str,
+    remedy: str,
 ) -> None:
     folder = tmp_path / "lacking"
     shutil.copytree(tiny_world.root, folder)
@@ -292,7 +297,7 @@ def test_data_without_a_region_are_refused_before_anything_is_trained(
     path.write_text(yaml.safe_dump(info))
     data = {"--train": tiny_world.root, "--test": tiny_world.root, option: folder}
     words = [word for pair in data.items() for word in pair]
-    said = type_in("experiment", "headline", *words, "--out", tmp_path / "out", *SMALL)
+    said = type_in("experiment", "headline", *words, "--out", tmp_path / "out", *tiny_words)
     assert (said.code, remedy in said.err) == (2, True), said.err
     assert not (tmp_path / "out" / "trainings").exists()
 

@@ -25,17 +25,6 @@ from adafusion.training.corpus import Corpus
 from adafusion.training.settings import Augment, Optimiser, Sampling
 
 BUDGET = 160
-SMALL = [
-    word
-    for change in (
-        "model.width=0.125",
-        "model.dim=16",
-        "model.preprocess.image.size=[48,64]",
-        "model.preprocess.voxels.shape=[16,16,8]",
-        "sampling.places=4",
-    )
-    for word in ("--set", change)
-]
 
 
 @pytest.fixture(scope="module")
@@ -151,9 +140,9 @@ def test_a_cache_for_what_changes_is_refused(
 
 @pytest.mark.slow
 def test_the_ablation_of_weights_is_one_command(
-    type_in, tiny_world: Dataset, tmp_path: Path
+    type_in, tiny_world: Dataset, tiny_words: list[str], tmp_path: Path
 ) -> None:
-    words = ["--train", tiny_world.root, "--test", tiny_world.root, "--out", tmp_path, *SMALL]
+    words = ["--train", tiny_world.root, "--test", tiny_world.root, "--out", tmp_path, *tiny_words]
     words += ["--budget", BUDGET, "--seeds", "0,1"]
     words += ["--rows", "MLP only,linear,attended features,AdaFusion"]
     said = type_in("experiment", "ablation-weights", *words)

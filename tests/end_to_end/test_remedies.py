@@ -4,9 +4,7 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,40 +14,22 @@ import torch
 from adafusion.datasets import Dataset
 from adafusion.experiments import (
     ExamData,
-    all_jobs,
-    build_experiment,
-    measure,
-    packaged_recipe,
-    page,
-    plan_jobs,
-    train_jobs,
 )
 from adafusion.experiments.describing import describe_frames
 from adafusion.experiments.judging import answers, ask, evaluate_model
-from adafusion.experiments.studies.remedies import REMEDIED
 from adafusion.experiments.studies.remedy_facts import (
     gradients,
     nearest_matches,
-    under_equal_weights,
+    under_fixed_weights,
 )
 from adafusion.models import ModelConfig, describe, load_model, save_model
 from adafusion.models.adafusion import unit_scale
 from adafusion.preprocess.cache import PreparedSet, prepare_cache
 from adafusion.training import TrainConfig, build_model
-from adafusion.training.corpus import Corpus
 from adafusion.training.objective import batch_loss
 from adafusion.training.sampler import Sampler
 from adafusion.training.settings import Loss, Sampling
 from adafusion.training.start import balance_branches
-
-BUDGET = 160
-TINY = (
-    "model.width=0.125",
-    "model.dim=16",
-    "model.preprocess.image.size=[48,64]",
-    "model.preprocess.voxels.shape=[16,16,8]",
-    "sampling.places=4",
-)
 
 
 @pytest.fixture
@@ -65,23 +45,11 @@ def data(tiny_world: Dataset, tiny_model: ModelConfig, cache: Path) -> PreparedS
 
 
 @pytest.mark.slow
-def test_the_remedies_are_measured(tiny_world: Dataset, cache: Path, tmp_path: Path) -> None:
-    recipe = partial(packaged_recipe, changes=TINY)
-    experiment = build_experiment("remedies", recipe, BUDGET)
-    experiment = experiment.only(["VL", "AdaFusion", "weights first", "pair margin"])
-    corpus = Corpus((tiny_world,))
-    rows = plan_jobs(experiment, [0], corpus, tmp_path)
-    list(train_jobs(all_jobs(rows), corpus, cache))
-    exams = [ExamData.of(tiny_world)]
-    results = measure(
-        experiment, rows, corpus, exams, cache, tmp_path, passes=BUDGET, seeds=[0], command=""
-    )
-    results = json.loads(json.dumps(results))
-    lines = REMEDIED.section(results["study"])
-    assert "What keeps the weights from gaining" in page(results, lines)
-    assert REMEDIED.draw is not None
-    REMEDIED.draw(results, tmp_path / "remedies.png")
-    assert (tmp_path / "remedies.png").stat().st_size > 10_000
+def test_the_remedies_are_measured(run_experiment, tmp_path: Path) -> None:
+    labels = ["VL", "AdaFusion", "weights first", "pair margin"]
+    results, words = run_experiment("remedies", labels)
+    assert "What keeps the weights from gaining" in words
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
 
     study = results["study"]["rows"]
     assert list(study) == ["VL", "AdaFusion", "pair margin", "weights first"]
@@ -156,8 +124,8 @@ def test_nearest_matches_are_those_of_the_evaluation(
     described = describe_frames(model, exam.dataset, cache, tmp_path)
     records = evaluate_model("concat", file, [exam], ["cross-run"], cache, tmp_path)["cross-run"]
     world = (exam.dataset.positions_m, exam.splits("cross-run"))
-    # a model without weights answers under equal weights what it answers
-    ranks = under_equal_weights([described], [world])
+    # a model without weights answers under fixed weights what it answers
+    ranks = under_fixed_weights([described], [world])
     np.testing.assert_array_equal(ranks, answers(records).first_hit)
     # a query is answered rightly where its true match is nearer than the wrong one
     right = []

@@ -20,6 +20,7 @@ def row(label: str, value: float, converged: bool) -> dict[str, Any]:
         "pretrained": label == "good",
         "published_oxford_percent": {"at_1": 97.1, "at_1_percent": None},
         "parameters": 1234567,
+        "length": 256,
         "frame_passes": {"image": 1000},
         "validation_passes": 10,
         "kept_after": [0.5],

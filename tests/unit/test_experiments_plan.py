@@ -118,17 +118,21 @@ def test_all_systems_of_the_comparison_have_a_row_and_reconstructions_say_so(
     experiment = build_experiment("table-systems", packaged_recipe, BUDGET)
     assert [row.label for row in experiment.rows] == [
         "NetVLAD",
+        "NetVLAD native",
         "PointNetVLAD",
         "Oertel et al.",
         "PIC-Net",
         "MinkLoc++",
         "CORAL",
+        "CORAL native",
         "VL-concat",
         "AdaFusion",
     ]
     guesses = {row.label for row in experiment.rows if row.reconstruction}
     assert guesses == {"Oertel et al.", "PIC-Net"}
-    assert all(row.published is not None for row in experiment.rows)
+    native = {row.label for row in experiment.rows if row.published is None}
+    assert native == {"NetVLAD native", "CORAL native"}
+    assert {row.training.config.model.dim for row in experiment.rows if row.label in native} == {0}
     assert "AdaFusion-lite is left out: pip install them." in experiment.words
 
 

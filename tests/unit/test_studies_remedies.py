@@ -17,7 +17,7 @@ from adafusion.experiments.studies.remedy_facts import (
     look,
     nearest_matches,
     spread,
-    under_equal_weights,
+    under_fixed_weights,
 )
 from adafusion.types import Descriptions, Split
 
@@ -95,15 +95,15 @@ def test_the_images_share_of_the_distance_to_true_and_wrong_matches() -> None:
     assert found["alpha"] is None
 
 
-def test_equal_weights_are_each_sensors_mean() -> None:
+def test_fixed_weights_are_each_sensors_mean() -> None:
     # alpha hides the image where it matters; its mean over frames does not
     alpha = [[0.0, 0.2], [1.0, 0.2], [0.0, 0.2], [1.0, 0.2], [1.0, 0.2]]
     learnt = described(IMAGE, LIDAR, alpha)
     # image 0.6, LiDAR 0.2 all over: 0 -> 3 at 0.6 + 1.2 beats 0 -> 4 at 4.8
-    assert under_equal_weights([learnt], WORLDS).tolist() == [1, 1]
+    assert under_fixed_weights([learnt], WORLDS).tolist() == [1, 1]
     # and with the image as good as gone, both find the other place first
     blind = [[0.01, 0.9]] * 5
-    found = under_equal_weights([described(IMAGE, LIDAR, blind)], WORLDS)
+    found = under_fixed_weights([described(IMAGE, LIDAR, blind)], WORLDS)
     assert found.tolist() == [2, 3]
 
 
@@ -126,7 +126,7 @@ def study() -> dict:
         "by_seed": [0.02],
         "queries": 9,
     }
-    recall = {"learnt": 0.82, "equal": 0.80, "gain": gain}
+    recall = {"learnt": 0.82, "fixed": 0.80, "gain": gain}
     facts = {
         "alpha": alpha,
         "length": {"unweighed": [20.0, 30.0], "weighed": [8.0, 18.0]},

@@ -279,7 +279,7 @@ def remedies(recipe: Recipe, passes: int) -> Experiment:
         "branch at ten times the rate; the searched distance as the trained one, by a softmax or "
         "by the paper's pair margin; the weight branch alone for the first half of the last phase. "
         "Everything else is AdaFusion's. A remedy that is above VL may owe it to what VL would "
-        "gain as well: what the weights themselves gain stands below, against equal ones.",
+        "gain as well: what the weights themselves gain stands below, against fixed ones.",
         rows=(concat, adafusion, *tried, normalised),
         protocols=("cross-run",),
         seeds=(0, 1, 2),

@@ -49,7 +49,7 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         f"{results['machine']['device']}; Python {software['python']}, torch {software['torch']}. "
         f"Seeds {', '.join(map(str, seeds))}. From a budget of {results['budget']:,} frame passes; "
         "what each seed of a row spent stands beside it. The trainings took "
-        f"{results['training_seconds'] / 3600:.1f} h, added up.",
+        f"{_duration(results['training_seconds'])}, added up.",
         "",
         *_table(results),
         "",
@@ -77,6 +77,10 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
     return "\n".join(lines) + "\n"
 
 
+def _duration(seconds: float) -> str:
+    return f"{seconds / 60:.1f} min" if seconds < 3600 else f"{seconds / 3600:.1f} h"
+
+
 def _of(results: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
     return results["training_data"]
 
@@ -85,7 +89,7 @@ def _table(results: Mapping[str, Any]) -> list[str]:
     protocols = list(results["protocols"])
     rows = ranking(results["rows"], protocols[0])
     measured = [(p, m) for p in protocols for m in ("AR@1", "AR@1%")]
-    head = ["system", "parameters", "passes, image / LiDAR"]
+    head = ["system", "parameters", "descriptor", "passes, image / LiDAR"]
     head += [f"{p} {m}" for p, m in measured]
     head += [f"{protocols[0]} AR@1 by seed", "paper, Oxford AR@1 / AR@1%"]
     ranked = [row for row in rows if row["converged"]]
@@ -99,7 +103,7 @@ def _table(results: Mapping[str, Any]) -> list[str]:
         marks += ["from ImageNet"] * row["pretrained"]
         marks += [row["why_not_ranked"]] * (not row["converged"])
         cells = [row["label"] + (f" ({', '.join(marks)})" if marks else "")]
-        cells.append(f"{row['parameters']:,}")
+        cells += [f"{row['parameters']:,}", f"{row['length']:,}"]
         passes = row["frame_passes"]
         cells.append(
             " / ".join(f"{passes[s]:,}" if s in passes else "-" for s in ("image", "lidar"))

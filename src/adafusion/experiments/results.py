@@ -109,6 +109,7 @@ def measure(
             {
                 **_row(row, jobs, num_answers),
                 "parameters": first["model"]["parameters"],
+                "length": first["model"]["length"],  # numbers in a descriptor
                 "models": [record[protocols[0]][0]["model"]["fingerprint"] for record in records],
                 "alpha": [pooled_alpha(record[protocols[0]]) for record in records],
                 "recall": recall,

@@ -27,7 +27,7 @@ from adafusion.experiments.studies.remedy_facts import (
     SATURATED,
     gradients,
     look,
-    under_equal_weights,
+    under_fixed_weights,
 )
 from adafusion.experiments.study import Study, Trained
 from adafusion.experiments.verdict import by_seed, judge_difference, plain_verdict
@@ -43,34 +43,34 @@ def measure_remedies(trained: Trained) -> dict[str, Any]:
     rows = {}
     for label, jobs in trained.rows.items():
         data = trained.corpus.prepare(jobs[0].config.model.preprocess, trained.cache)
-        seeds, equal = [], []
+        seeds, fixed = [], []
         for job, described in zip(jobs, described_by_seed(trained, label), strict=True):
             taught = gradients(load_model(job.model), job.config, data, validation)
             facts = look(described, worlds)
             seeds.append({**facts, "gradient": taught, "kept": kept_after(job)})
-            equal.append(under_equal_weights(described, worlds) == 1)
-        rows[label] = {"seeds": seeds, "recall": _recalls(trained, label, np.stack(equal))}
+            fixed.append(under_fixed_weights(described, worlds) == 1)
+        rows[label] = {"seeds": seeds, "recall": _recalls(trained, label, np.stack(fixed))}
     return {"rows": rows}
 
 
 def _recalls(
-    trained: Trained, label: str, equal: Bool[np.ndarray, "seed q"]
+    trained: Trained, label: str, fixed: Bool[np.ndarray, "seed q"]
 ) -> dict[str, dict[str, Any]]:
-    """Recall@1 under the learnt and under equal weights, by kind of run pair and by zone."""
+    """Recall@1 under the learnt and under fixed weights, by kind of run pair and by zone."""
     said = trained.said[label]
     asked, answerable = answerable_of(said, trained.questions)
     learnt = np.stack([one.hits(1) for one in said])[:, answerable]
-    equal = equal[:, answerable].astype(np.int64)
+    fixed = fixed[:, answerable].astype(np.int64)
     found = {}
     for group, mask in trained.questions.groups().items():
         chosen = mask[answerable]
         if not chosen.any():
             continue
         where = asked.where(chosen)
-        gain = judge_difference(learnt[:, chosen], equal[:, chosen], where)
+        gain = judge_difference(learnt[:, chosen], fixed[:, chosen], where)
         found[group] = {
             "learnt": float(np.mean(by_seed(learnt[:, chosen], where))),
-            "equal": float(np.mean(by_seed(equal[:, chosen], where))),
+            "fixed": float(np.mean(by_seed(fixed[:, chosen], where))),
             "gain": plain_verdict(gain, ranked=label in trained.converged),
         }
     return found
@@ -126,15 +126,15 @@ def remedies_section(study: Mapping[str, Any]) -> list[str]:
     groups = [g for g in next(iter(rows.values()))["recall"] if not g.startswith("zone ")]
     lines += [
         "",
-        "Recall@1 (%) under the learnt weights, and its gain over equal ones: each sensor's mean, "
+        "Recall@1 (%) under the learnt weights, and its gain over fixed ones: each sensor's mean, "
         "never changing. The interval is of the gain over all pairs of runs.",
         "",
-        "| row | " + " | ".join(groups) + " | learnt - equal | |",
+        "| row | " + " | ".join(groups) + " | learnt - fixed | |",
         "|---" * (3 + len(groups)) + "|",
     ]
     for label, row in rows.items():
         cells = [
-            f"{100 * found['learnt']:.1f} ({100 * (found['learnt'] - found['equal']):+.1f})"
+            f"{100 * found['learnt']:.1f} ({100 * (found['learnt'] - found['fixed']):+.1f})"
             for found in (row["recall"][group] for group in groups)
         ]
         gain = row["recall"][groups[0]]["gain"]
@@ -160,7 +160,7 @@ def _number(value: float | None, digits: int, scale: float = 1.0) -> str:
 
 
 def draw_remedies(results: Mapping[str, Any], path: Path) -> None:
-    """Recall@1 under learnt and under equal weights, and where the weights of each row lie."""
+    """Recall@1 under learnt and under fixed weights, and where the weights of each row lie."""
     study = results["study"]["rows"]
     mark = {
         row["label"]: "" if row["converged"] else f" ({row['why_not_ranked']})"
@@ -171,11 +171,11 @@ def draw_remedies(results: Mapping[str, Any], path: Path) -> None:
     with picture(path, results, 1.2 + 0.34 * len(labels)) as figure:
         recall, weight = figure.subplots(1, 2, sharey=True)
         everything = [next(iter(study[label]["recall"].values())) for label in labels]
-        learnt, equal = (
-            100 * np.array([found[key] for found in everything]) for key in ("learnt", "equal")
+        learnt, fixed = (
+            100 * np.array([found[key] for found in everything]) for key in ("learnt", "fixed")
         )
-        recall.hlines(at, learnt, equal, color=plots.FAINT, linewidth=1.2)
-        recall.plot(equal, at, "o", color=plots.INK, markerfacecolor="white", label="equal weights")
+        recall.hlines(at, learnt, fixed, color=plots.FAINT, linewidth=1.2)
+        recall.plot(fixed, at, "o", color=plots.INK, markerfacecolor="white", label="fixed weights")
         recall.plot(learnt, at, "o", color=plots.INK, label="learnt weights")
         recall.set_xlabel("recall@1 (%)")
         recall.set_yticks(at, [label + mark[label] for label in labels])

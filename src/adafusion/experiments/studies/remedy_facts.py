@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a model's weights are, what they work on, how they are taught, and what equal ones find."""
+"""What a model's weights are, what they work on, how they are taught, and what fixed ones find."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def nearest_matches(
     return found[:, has_both]
 
 
-def under_equal_weights(
+def under_fixed_weights(
     described: Sequence[Descriptions], worlds: Sequence[World]
 ) -> Int64[np.ndarray, " q"]:
     """Rank of each query's best true match (0: none may answer) if the weights never changed.
