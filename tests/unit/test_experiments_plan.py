@@ -21,9 +21,9 @@ def experiment(request: pytest.FixtureRequest) -> Experiment:
     return build_experiment(request.param, packaged_recipe, BUDGET)
 
 
-def test_every_row_has_the_same_passes_through_each_of_its_networks(
-    experiment: Experiment,
-) -> None:
+@pytest.mark.parametrize("name", sorted(set(EXPERIMENTS) - {"pilot"}))
+def test_every_row_has_the_same_passes_through_each_of_its_networks(name: str) -> None:
+    experiment = build_experiment(name, packaged_recipe, BUDGET)
     is_ablation = experiment.name.startswith("ablation")  # of what the headline has, or a part
     for sensor in ("image", "lidar"):
         spent = {
@@ -36,6 +36,15 @@ def test_every_row_has_the_same_passes_through_each_of_its_networks(
         # only the frozen branches of ablation-weights are done learning before the others
         assert len(set(spent.values())) <= 1 or experiment.name == "ablation-weights", spent
         assert is_ablation or set(spent.values()) <= {BUDGET}
+
+
+def test_the_pilot_has_the_headlines_trainings_at_rising_budgets() -> None:
+    rows = {row.label: row for row in build_experiment("pilot", packaged_recipe, BUDGET).rows}
+    assert len(rows) == 16
+    for times in (1, 8):
+        whole = build_experiment("headline", packaged_recipe, times * BUDGET)
+        for row in whole.rows:
+            assert rows[f"{row.label} {times * BUDGET}"].training == row.training
 
 
 def test_verdicts_are_about_rows_that_there_are(experiment: Experiment) -> None:

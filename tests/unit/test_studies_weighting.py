@@ -1,53 +1,45 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
+"""Shares chosen by condition, on a handful of queries."""
+
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
-import pytest
 
-from adafusion.evaluation import summarize_alpha
-from adafusion.experiments.judging import pooled_alpha
-from adafusion.experiments.studies.weighting import EQUAL, SHARES, FixedShares, at_share
-from adafusion.types import Descriptions
+from adafusion.experiments.judging import Questions
+from adafusion.experiments.studies.weighting import shares_by_condition
+from adafusion.experiments.verdict import Asked
 
-
-def test_a_share_weighs_the_image_and_the_rest_the_lidar() -> None:
-    seen = Descriptions(
-        None, np.array([[4.0, 8.0]], np.float32), np.array([[40.0, 80.0]], np.float32), None
-    )
-    assert at_share(seen, 0.25).tolist() == [[1.0, 2.0, 30.0, 60.0]]
-
-
-@pytest.mark.parametrize(
-    ("tops", "best"), [((3,), 3), ((0, 9), 9), ((2, 12, 20), 12), (range(21), EQUAL)]
-)
-def test_the_best_share_is_the_most_even_of_equals(tops: tuple[int, ...], best: int) -> None:
-    validation = np.zeros(len(SHARES))
-    validation[list(tops)] = 0.5
-    assert FixedShares(validation, np.zeros((len(SHARES), 1), np.int64)).best == best
-
-
-def test_weights_of_several_worlds_are_those_of_all_their_frames() -> None:
-    rng = np.random.default_rng(0)
-    worlds = [rng.random((n, 2)).astype(np.float32) for n in (3, 11)]
-    zones = [["hall", "park", "park"], ["park"] * 11]
-    records = [
-        {"model": {"alpha": {k: asdict(v) for k, v in summaries.items()}}}
-        for summaries in (
-            summarize_alpha(alpha) | summarize_alpha(alpha, zone)
-            for alpha, zone in zip(worlds, zones, strict=True)
-        )
+# three shares; queries 0 to 3 of one condition, 4 and 5 of another; halves of two queries each
+HITS = np.array(
+    [
+        [1, 1, 0, 0, 0, 0],
+        [0, 0, 1, 0, 1, 1],
+        [0, 0, 1, 1, 0, 0],
     ]
-    found = pooled_alpha(records)
-    assert found is not None
-    together = np.concatenate(worlds)
-    whole = summarize_alpha(together) | summarize_alpha(together, [*zones[0], *zones[1]])
-    assert found.keys() == whole.keys()
-    for name, summary in whole.items():
-        assert found[name]["num_frames"] == summary.num_frames
-        assert found[name]["mean"] == pytest.approx(summary.mean)
-        assert found[name]["std"] == pytest.approx(summary.std)
-    assert pooled_alpha(records[:1]) == records[0]["model"]["alpha"]
-    assert pooled_alpha([{"model": {"alpha": None}}] * 2) is None
+)
+CONDITION = np.array([0, 0, 0, 0, 1, 1])
+HALF = np.array([0, 0, 1, 1, 0, 1])
+
+
+def test_a_share_is_chosen_on_the_other_half() -> None:
+    # half 0 takes share 2 of half 1 and half 1 takes share 0 of half 0: both are wrong there
+    said = shares_by_condition(HITS, 1, CONDITION, HALF)
+    assert said.tolist() == [0, 0, 0, 0, 1, 1]
+
+
+def test_without_the_other_half_and_among_equals_the_nearest_to_the_fixed_share_answers() -> None:
+    alone = np.zeros(6, np.int64)
+    for otherwise in range(3):
+        said = shares_by_condition(HITS, otherwise, CONDITION, alone)
+        assert said.tolist() == HITS[otherwise].tolist()
+
+
+def test_conditions_are_zones_and_kinds_of_pairs() -> None:
+    split = np.array([0, 0, 1, 2, 2])
+    asked = Asked(split, np.zeros(5, np.int64), np.zeros(5, np.int64))
+    kinds = (frozenset({"with night"}), frozenset({"none of these"}), frozenset({"with night"}))
+    zone = np.array(["hall", "street", "hall", "hall", "street"])
+    night_hall, night_street, hall, *rest = Questions(asked, zone, kinds).conditions().tolist()
+    assert len({night_hall, night_street, hall}) == 3
+    assert rest == [night_hall, night_street]

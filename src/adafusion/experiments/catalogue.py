@@ -19,6 +19,7 @@ from adafusion.experiments.comparisons import (
     figure_recall,
     figure_weights,
     headline,
+    pilot,
     table_dimensions,
     table_dimensions_full,
     table_systems,
@@ -37,6 +38,7 @@ PASSES_A_FRAME = 40  # on any other data
 
 EXPERIMENTS: dict[str, Callable[[Recipe, int], Experiment]] = {
     "headline": headline,
+    "pilot": pilot,
     "table-systems": table_systems,
     "table-dimensions": table_dimensions,
     "table-dimensions-full": table_dimensions_full,

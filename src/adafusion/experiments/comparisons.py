@@ -15,6 +15,7 @@ from pathlib import Path
 from adafusion.experiments.plan import Experiment, Published, Recipe, Row, Training
 from adafusion.experiments.studies.cost import COST
 from adafusion.experiments.studies.idea import IDEA
+from adafusion.experiments.studies.levels import LEVELS_OFF, row_of
 from adafusion.experiments.studies.recall import RECALL
 from adafusion.experiments.studies.weights import WEIGHTS
 from adafusion.models import efficientnet
@@ -25,6 +26,7 @@ from adafusion.types import UserError
 TOGETHER = 0.1  # share of a staged row's passes after its branches were joined
 COARSE = 0.8  # share of the image branch's own passes at a quarter of the pixels (docs/adr/0004)
 
+PILOT_TIMES = (1, 2, 4, 8)  # the budget
 ALL_PROTOCOLS = ("cross-run", "union", "pointnetvlad")
 AGAINST_EACH = (("AdaFusion", "VL"), ("AdaFusion", "V"), ("AdaFusion", "L"))
 
@@ -38,6 +40,24 @@ def headline(recipe: Recipe, passes: int) -> Experiment:
         protocols=ALL_PROTOCOLS,
         seeds=(0, 1, 2),
         verdicts=AGAINST_EACH,
+    )
+
+
+def pilot(recipe: Recipe, passes: int) -> Experiment:
+    """The headline's rows at rising budgets: how many frame passes does the slowest need?"""
+    rows = tuple(
+        replace(row, label=row_of(row.label, times * passes), published=None)
+        for times in PILOT_TIMES
+        for row in staged_rows(recipe, times * passes)
+    )
+    return Experiment(
+        name="pilot",
+        words="At which budget do the rows of the headline level off on validation? The one at "
+        "which the slowest does is the budget to compare them by.",
+        rows=rows,
+        protocols=("cross-run",),
+        seeds=(0,),
+        study=LEVELS_OFF,
     )
 
 

@@ -73,6 +73,12 @@ class Questions:
     zone: Shaped[np.ndarray, " q"]  # "" where the source names none
     kinds: tuple[frozenset[str], ...]  # of each split
 
+    def conditions(self) -> Int64[np.ndarray, " q"]:
+        """A number for each query: equal where the zone and the kinds of the run pair are."""
+        of_split = [" ".join(sorted(kinds)) for kinds in self.kinds]
+        named = np.stack([self.zone, np.array(of_split)[self.asked.split]], axis=1)
+        return np.unique(named, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
     def groups(self) -> dict[str, Shaped[np.ndarray, " q"]]:
         """Masks of the queries by kind of run pair and by zone, beside all of them."""
         groups = {"all pairs": np.ones(len(self.zone), np.bool_)}
