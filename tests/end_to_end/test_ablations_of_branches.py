@@ -58,3 +58,11 @@ def test_the_mean_is_the_headlines_own_branch(
         for name in ("headline", "ablation-pooling")
     }
     assert len(keys["headline"] & keys["ablation-pooling"]) == 2
+
+
+@pytest.mark.slow
+def test_the_pilot_tells_of_validation_alone(run_experiment) -> None:
+    results, words = run_experiment("pilot", ["L x1", "L x2"])
+    assert [one["passes"] for one in results["study"]["rows"]["L"]["tried"]] == [160, 320]
+    assert "levels off at" in words
+    assert "AR@1" not in words

@@ -258,6 +258,8 @@ def test_what_is_asked_wrongly_is_answered_with_the_remedy(
         ["headline", "--rows", "W"],
         ["headline", "--seeds", "a"],
         ["headline", "--set", "model.widht=1"],
+        ["headline", "--set", "seed=7"],
+        ["headline", "--set", "batches=20"],
         ["ablation-weights", "--rows", "VL,AdaFusion"],
     ],
 )

@@ -44,7 +44,7 @@ def test_the_pilot_has_the_headlines_trainings_at_rising_budgets() -> None:
     for times in (1, 8):
         whole = build_experiment("headline", packaged_recipe, times * BUDGET)
         for row in whole.rows:
-            assert rows[f"{row.label} {times * BUDGET}"].training == row.training
+            assert rows[f"{row.label} x{times}"].training == row.training
 
 
 def test_verdicts_are_about_rows_that_there_are(experiment: Experiment) -> None:

@@ -25,6 +25,12 @@ T = TypeVar("T")
 
 LIST = "list"  # in place of a name
 LINE_EVERY_S = 60.0
+LENGTH, CHAIN = "give --budget", "its rows say what starts from what"
+DECIDED = {  # keys of a training that a plan sets, and what to give in place of --set
+    "seed": "give --seeds",
+    **dict.fromkeys(("epochs", "passes", "batches", "branch_batches", "evaluate_every"), LENGTH),
+    **dict.fromkeys(("init", "schedule", "joint_rate"), CHAIN),
+}
 
 
 def experiment(
@@ -91,6 +97,9 @@ def experiment(
     if (train is None) != (test is None):
         raise UserError("give both --train and --test, or a --world that has both parts")
     changes = tuple(change or ())
+    for key in (text.partition("=")[0] for text in changes):
+        if key in DECIDED:
+            raise UserError(f"--set {key}: the experiment decides it; {DECIDED[key]}")
     labels = None if rows is None else split_names(rows)
 
     def build(recipe: Recipe, passes: int) -> Experiment:
@@ -144,6 +153,7 @@ def experiment(
         progress=bar,
     )
     files = [out / f"{name}.json", out / f"{name}.md"]
+    write_json(files[0], results)  # before anything of it is drawn
     section: list[str] = []
     picture = ""
     if asked.study is not None:
@@ -153,7 +163,6 @@ def experiment(
             asked.study.draw(results, out / picture)
             files.append(out / picture)
     text = e.page(results, section, picture)
-    write_json(files[0], results)
     write_text(files[1], text)
     print(text)
     print("\n".join(map(str, files)))

@@ -15,7 +15,7 @@ from pathlib import Path
 from adafusion.experiments.plan import Experiment, Published, Recipe, Row, Training
 from adafusion.experiments.studies.cost import COST
 from adafusion.experiments.studies.idea import IDEA
-from adafusion.experiments.studies.levels import LEVELS_OFF, row_of
+from adafusion.experiments.studies.levels import LEVELS_OFF
 from adafusion.experiments.studies.recall import RECALL
 from adafusion.experiments.studies.weights import WEIGHTS
 from adafusion.models import efficientnet
@@ -46,18 +46,19 @@ def headline(recipe: Recipe, passes: int) -> Experiment:
 def pilot(recipe: Recipe, passes: int) -> Experiment:
     """The headline's rows at rising budgets: how many frame passes does the slowest need?"""
     rows = tuple(
-        replace(row, label=row_of(row.label, times * passes), published=None)
+        replace(row, label=f"{row.label} x{times}", published=None)
         for times in PILOT_TIMES
         for row in staged_rows(recipe, times * passes)
     )
     return Experiment(
         name="pilot",
-        words="At which budget do the rows of the headline level off on validation? The one at "
-        "which the slowest does is the budget to compare them by.",
+        words="At which multiple of the budget do the rows of the headline level off on "
+        "validation? Where the slowest does is the budget to compare them by.",
         rows=rows,
         protocols=("cross-run",),
         seeds=(0,),
         study=LEVELS_OFF,
+        shows_test=False,
     )
 
 

@@ -36,7 +36,6 @@ from adafusion.types import SENSORS, Descriptions, Progress, Split, UserError, l
 
 EVALUATION_VERSION = 2  # raise it when equal models and data come to give another record
 INTERVAL_SEED = 0
-BATCH = 32
 KS = range(1, 26)  # numbers of candidates looked at
 
 # what tells pairs of runs apart, by words in the runs' names

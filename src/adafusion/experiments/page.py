@@ -51,6 +51,19 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         "what each seed of a row spent stands beside it. The trainings took "
         f"{_duration(results['training_seconds'])}, added up.",
         "",
+        *(_of_test(results) if results.get("shows_test", True) else []),
+        *section,
+    ]
+    if picture:
+        first = re.split(r"[.:;?]", results["words"])[0]
+        lines += ["", f"![{results['experiment']}: {first}]({picture})"]
+    return "\n".join(lines) + "\n"
+
+
+def _of_test(results: Mapping[str, Any]) -> list[str]:
+    """All that rests on the test set."""
+    seeds = results["seeds"]
+    return [
         *_table(results),
         "",
         "Recall in percent, with 95 % intervals from a bootstrap over 50 m blocks of places"
@@ -69,12 +82,7 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         *_kept(results["rows"]),
         *_alpha(results["rows"]),
         *_verdicts(results),
-        *section,
     ]
-    if picture:
-        first = re.split(r"[.:;?]", results["words"])[0]
-        lines += ["", f"![{results['experiment']}: {first}]({picture})"]
-    return "\n".join(lines) + "\n"
 
 
 def _duration(seconds: float) -> str:

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an experiment is, as data: rows of trainings, judged under protocols.
 
-Every row may learn from the same number of frame passes through each sensor's network; a row is a
-chain of trainings, where one may start from the branches of others. `catalogue.py` holds them all.
+Every row may learn from the same number of frame passes through each sensor's network (but in the
+pilot, which looks for that number); a row is a chain of trainings, where one may start from the
+branches of others. `catalogue.py` holds them all.
 """
 
 from __future__ import annotations
@@ -70,6 +71,7 @@ class Experiment:
     seeds: tuple[int, ...]
     verdicts: tuple[tuple[str, str], ...] = ()  # labels: does the first do better than the second?
     study: Study | None = None  # what is looked at beside the table
+    shows_test: bool = True  # False: what it decides must not be decided by the test set
     studied: tuple[str, ...] = ()  # labels: the study needs at least one of these rows
 
     def only(self, labels: list[str]) -> Experiment:

@@ -136,6 +136,7 @@ def measure(
         "schema": SCHEMA,
         "experiment": experiment.name,
         "words": experiment.words,
+        "shows_test": experiment.shows_test,
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
         "command": command,
         "commit": git_commit(),

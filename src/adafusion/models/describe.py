@@ -32,12 +32,16 @@ def describe(model: nn.Module, batches: Iterable[tuple[Tensor | None, ...]]) -> 
     """
     was_training = model.training
     use_channels_last(model.eval())
-    device = next(model.parameters()).device
+    like = next(model.parameters())
+
+    def moved(x: Tensor | None) -> Tensor | None:
+        if x is None or not x.is_floating_point():
+            return x if x is None else x.to(like.device)
+        return x.to(like)  # its precision too, which a training may double
+
     try:
         with torch.inference_mode():
-            parts = [
-                model(*(None if x is None else x.to(device) for x in batch)) for batch in batches
-            ]
+            parts = [model(*map(moved, batch)) for batch in batches]
     finally:
         model.train(was_training)
     if not parts:

@@ -99,9 +99,12 @@ def save_checkpoint(
 
 
 def read_standing(out: Path) -> Standing:
-    """How far the training in `out` was at its last checkpoint."""
-    state = torch.load(out / STATE_FILE, map_location="cpu", weights_only=True)
-    return Standing(**state["standing"])
+    """How far the training in `out` was at its last checkpoint; UserError where none is whole."""
+    path = out / STATE_FILE
+    try:
+        return Standing(**torch.load(path, map_location="cpu", weights_only=True)["standing"])
+    except Exception as error:
+        raise _lost(path, error) from error
 
 
 def keep_described(out: Path, done: int, descriptors: Float[np.ndarray, "n d"]) -> None:
@@ -150,6 +153,11 @@ def restore_checkpoint(
         sampler.go_on(Course(**state["course"]))
         return Standing(**state["standing"])
     except Exception as error:
-        raise UserError(
-            f"{path}: cannot be resumed ({type(error).__name__}: {error}); train into a new folder"
-        ) from error
+        raise _lost(path, error) from error
+
+
+def _lost(path: Path, error: Exception) -> UserError:
+    return UserError(
+        f"{path}: cannot be resumed ({type(error).__name__}: {error}); delete {path.parent} and "
+        "repeat the command, or train into a new folder"
+    )

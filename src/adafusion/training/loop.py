@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The training loop, visible: a generator that yields what each batch did.
 
-    for step in train(config, data, validate, out):
+    for step in train(config, data, rows, validate, out):
         print(step.batch, step.loss)
 
 Everything random is drawn from the seed and the batch's number, so a training that was killed and
@@ -173,7 +173,8 @@ def train(
             keep_described(out, at.batches, sampler.described)
 
     def evaluate() -> tuple[Mapping[str, float], bool]:
-        values = ranks.from_first(lambda: validate(model.eval()))
+        found = ranks.from_first(lambda: validate(model.eval()))
+        values = {name: float(value) for name, value in found.items()}  # as a checkpoint can hold
         model.train()
         if is_best := values[SELECTED_BY] > at.best:
             at.best = values[SELECTED_BY]

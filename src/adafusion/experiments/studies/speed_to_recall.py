@@ -39,12 +39,8 @@ def measure_speed(trained: Trained) -> dict[str, Any]:
 
 
 def curve_of(record: Mapping[str, Any]) -> list[tuple[int, float]]:
-    """Frame passes and validation recall@1 of each evaluation of a training.
-
-    Batches differ a little in frames; the passes of each are taken as their mean.
-    """
-    a_batch = record["frame_passes"] / record["batches"]
-    return [(round(a_batch * line["batch"]), line[SELECTED_BY]) for line in record["curve"]]
+    """Frame passes and validation recall@1 of each evaluation of a training."""
+    return [(line["frame_passes"], line[SELECTED_BY]) for line in record["curve"]]
 
 
 def passes_to(level: float, curve: Curve) -> int | None:
