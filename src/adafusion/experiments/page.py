@@ -50,7 +50,6 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         f"Seeds {', '.join(map(str, seeds))}. From a budget of {results['budget']:,} frame passes; "
         "what each seed of a row spent stands beside it. The trainings took "
         f"{_duration(results['training_seconds'])}, added up.",
-        "",
         *(_of_test(results) if results.get("shows_test", True) else []),
         *section,
     ]
@@ -64,6 +63,7 @@ def _of_test(results: Mapping[str, Any]) -> list[str]:
     """All that rests on the test set."""
     seeds = results["seeds"]
     return [
+        "",
         *_table(results),
         "",
         "Recall in percent, with 95 % intervals from a bootstrap over 50 m blocks of places"
