@@ -26,6 +26,9 @@ from adafusion.training.sampler import Course, Sampler
 from adafusion.training.settings import TrainConfig
 from adafusion.types import UserError
 
+CONFIG_FILE = "train.yaml"
+STATE_FILE = "state.pt"  # where a resumed training goes on
+
 
 @dataclass(kw_only=True)
 class Standing:
@@ -37,10 +40,6 @@ class Standing:
     seconds: float = 0.0  # without what a kill undid
     best: float = -math.inf  # recall@1 on validation of the model kept so far
     curve: list[dict[str, Any]] = field(default_factory=list)  # a line an evaluation
-
-
-CONFIG_FILE = "train.yaml"
-STATE_FILE = "state.pt"  # where a resumed training goes on
 
 
 def claim(out: Path, config: TrainConfig, resume: bool) -> None:

@@ -148,7 +148,7 @@ def train(
     scheduler = build_scheduler(config, optimizer, lambda: (gone(), length))
     network: nn.Module = FusionOnly(model) if config.cache_branches else model
     wrapped, optimizer = fabric.setup(use_channels_last(network), optimizer)
-    same = {"data": _data_fingerprint(data, rows), "precision": config.precision}
+    same = {"data": _data_fingerprint(data, rows)}  # `claim` has compared the configuration
     if resume:  # after the setup, which moves the model to its device
         at = restore_checkpoint(out, model, optimizer, scheduler, sampler, same)
         began -= at.seconds

@@ -240,7 +240,7 @@ class TrainConfig:
     keep: Literal["best", "last"] = "best"  # on validation: what becomes model.safetensors
     initialisation: Literal["framework", "he"] = "he"
     imagenet: str | None = None  # weights for the image network: a file, or efficientnet-lite0
-    precision: Precision = "32-true"  # of the arithmetic while learning; bf16-mixed: half the time
+    precision: Precision = "32-true"  # of the arithmetic while learning
     norms: bool = True  # batch norm after every convolution, folded away in what is saved
     init: tuple[str, ...] = ()  # model files whose branches this training starts from
     take_weights: bool = False  # from those files, what fuses the branches as well
