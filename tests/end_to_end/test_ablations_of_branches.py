@@ -15,7 +15,9 @@ from adafusion.experiments import (
     build_experiment,
     packaged_recipe,
     plan_jobs,
+    train_jobs,
 )
+from adafusion.models import load_model
 from adafusion.training.corpus import Corpus
 
 
@@ -61,8 +63,25 @@ def test_the_mean_is_the_headlines_own_branch(
 
 
 @pytest.mark.slow
-def test_the_pilot_tells_of_validation_alone(run_experiment) -> None:
+def test_the_pilot_tells_of_validation_alone(run_experiment, tmp_path: Path) -> None:
     results, words = run_experiment("pilot", ["L x1", "L x2"])
     assert [one["passes"] for one in results["study"]["rows"]["L"]["tried"]] == [160, 320]
     assert "levels off at" in words
     assert "AR@1" not in words
+    assert not (tmp_path / "evaluations").exists()
+
+
+@pytest.mark.slow
+def test_networks_learn_together_from_scratch_by_either_recipe(
+    tiny_world: Dataset, tiny_changes: tuple[str, ...], cache: Path, tmp_path: Path
+) -> None:
+    recipe = partial(packaged_recipe, changes=tiny_changes)
+    labels = ["VL", "AdaFusion", "AdaFusion MLP only", "AdaFusion as in the paper"]
+    experiment = build_experiment("end-to-end", recipe, 100).only(labels)
+    rows = plan_jobs(experiment, [0], corpus := Corpus((tiny_world,)), tmp_path)
+    trained = list(train_jobs(all_jobs(rows), corpus, cache))
+    assert [len(list(rows[label][0].chain())) for label in labels] == [1, 1, 1, 1]
+    for job in trained:
+        assert job.record()["frame_passes"] == pytest.approx(100, rel=0.3)
+        model = load_model(job.model)
+        assert model.config.system == ("concat" if "vl" in job.name else "adafusion")

@@ -84,16 +84,45 @@ def test_the_headline_and_again_and_another_experiment_from_the_same_trainings(
     assert any(group.startswith("zone ") for group in groups)
 
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")}
-    said = type_in("experiment", "figure-recall", *words)
+    pages = tmp_path / "kept" / "pages"
+    said = type_in("experiment", "figure-recall", *words, "--results", pages)
     assert said.code == 0, said.err
     assert {path: path.stat().st_mtime_ns for path in before} == before
-    figure = json.loads((tmp_path / "figure-recall.json").read_text())
-    assert (tmp_path / "figure-recall.png").stat().st_size > 10_000
+    figure = json.loads((pages / "figure-recall.json").read_text())
+    assert (pages / "figure-recall.png").stat().st_size > 10_000
+    assert not list(tmp_path.glob("figure-recall.*"))
     assert len(figure["study"]["gains"]["VL"]["at"]) == 25
     again = {row["label"]: row["recall"]["cross-run"]["AR@1"] for row in figure["rows"]}
     assert again == {label: row["recall"]["cross-run"]["AR@1"] for label, row in rows.items()}
     said = type_in("experiment", "headline", *words, "--plan")
     assert "0 of 12 trainings to do: 0 of " in said.out
+
+
+@pytest.mark.slow
+def test_the_pilot_does_not_look_at_the_test_set(
+    type_in, tiny_world: Dataset, tiny_words: list[str], tmp_path: Path
+) -> None:
+    words = ["--train", tiny_world.root, "--test", tmp_path / "nowhere", "--out", tmp_path]
+    words += ["--budget", 64, "--rows", "L x1", *tiny_words]
+    said = type_in("experiment", "pilot", *words)
+    assert said.code == 0, said.err
+    results = json.loads((tmp_path / "pilot.json").read_text())
+    assert results["test_data"] == []
+    assert not any("recall" in key for row in results["rows"] for key in row)
+    assert "judged on its validation region" in said.out
+    assert "SYNTHETIC data" in said.out
+    assert not (tmp_path / "evaluations").exists()
+
+
+def test_a_change_that_the_experiment_makes_otherwise_is_told_with_the_rows(
+    type_in, tiny_world: Dataset, tmp_path: Path
+) -> None:
+    words = ["--train", tiny_world.root, "--test", tiny_world.root, "--out", tmp_path, "--plan"]
+    said = type_in("experiment", "ablation-input", *words, "--set", "norms=true")
+    rows = "L last norm alone, L no norm, V last norm alone, V no norm"
+    assert f"--set norms=true: set otherwise by the experiment in {rows}\n" in said.err
+    said = type_in("experiment", "ablation-input", *words, "--set", "augment.hue=0.1")
+    assert "set otherwise" not in said.err
 
 
 def test_the_list_tells_every_experiment_with_its_rows(type_in) -> None:

@@ -114,25 +114,27 @@ def test_the_gradient_of_each_part_is_that_of_a_plain_loop(
         assert 0.0 < found[part]["agreement"] <= 1.0 + 1e-6
 
 
+@pytest.mark.parametrize("unit_length", [False, True])
 def test_nearest_matches_are_those_of_the_evaluation(
-    config: TrainConfig, tiny_world: Dataset, cache: Path, tmp_path: Path
+    config: TrainConfig, tiny_world: Dataset, cache: Path, tmp_path: Path, unit_length: bool
 ) -> None:
     file = tmp_path / "model.safetensors"
-    save_model(build_model(replace(config, model=replace(config.model, system="concat"))), file)
+    concat = replace(config.model, system="concat", unit_length=unit_length)
+    save_model(build_model(replace(config, model=concat)), file)
     model = load_model(file)
     exam = ExamData.of(tiny_world)
     described = describe_frames(model, exam.dataset, cache, tmp_path)
     records = evaluate_model("concat", file, [exam], ["cross-run"], cache, tmp_path)["cross-run"]
     world = (exam.dataset.positions_m, exam.splits("cross-run"))
     # a model without weights answers under fixed weights what it answers
-    ranks = under_fixed_weights([described], [world])
+    ranks = under_fixed_weights([described], [world], model.config)
     np.testing.assert_array_equal(ranks, answers(records).first_hit)
     # a query is answered rightly where its true match is nearer than the wrong one
     right = []
     for split in world[1]:
-        query, true, wrong = nearest_matches(described.fused, world[0], split)
+        query, true, wrong = nearest_matches(described.fused, world[0], split, model.config.p)
         to_true, to_wrong = (
-            np.abs(described.fused[query] - described.fused[match]).sum(axis=1)
+            np.linalg.norm(described.fused[query] - described.fused[match], model.config.p, axis=1)
             for match in (true, wrong)
         )
         right.append(to_true < to_wrong)

@@ -4,13 +4,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from adafusion.config import change_config
 from adafusion.experiments.catalogue import EXPERIMENTS, build_experiment, packaged_recipe
 from adafusion.experiments.judging import pair_kinds
-from adafusion.experiments.plan import Experiment
+from adafusion.experiments.plan import Experiment, Published
+from adafusion.models.config import STAGED
 from adafusion.types import UserError
 
 BUDGET = 10_001  # that no share divides
@@ -45,6 +49,70 @@ def test_the_pilot_has_the_headlines_trainings_at_rising_budgets() -> None:
         whole = build_experiment("headline", packaged_recipe, times * BUDGET)
         for row in whole.rows:
             assert rows[f"{row.label} x{times}"].training == row.training
+
+
+def test_rows_from_scratch_start_from_nothing_and_staged_ones_are_the_headlines() -> None:
+    rows = {row.label: row for row in build_experiment("end-to-end", packaged_recipe, BUDGET).rows}
+    headline = {
+        row.label: row for row in build_experiment("headline", packaged_recipe, BUDGET).rows
+    }
+    staged = {label.removesuffix(" staged") for label in rows if label.endswith(" staged")}
+    assert staged == {"VL", "AdaFusion"}
+    for label in staged:
+        assert rows[f"{label} staged"].training == headline[label].training
+        assert rows[f"{label} staged"].published == headline[label].published
+    scratch = {label: row.training for label, row in rows.items() if "staged" not in label}
+    assert len(scratch) == 6
+    for training in scratch.values():
+        assert not training.starts_from
+        size = training.config.model.preprocess
+        assert size == headline["AdaFusion"].training.config.model.preprocess
+    paper = scratch.pop("AdaFusion as in the paper").config
+    assert (paper.loss.kind, paper.sampling.mode, paper.norms) == ("margin", "pairs", False)
+    assert len({replace(one.config, model=paper.model) == paper for one in scratch.values()}) == 1
+    assert scratch["AdaFusion MLP only"].config.model.attention_levels == 0
+
+
+@pytest.mark.parametrize("name", sorted(EXPERIMENTS))
+def test_at_full_size_every_row_is_as_wide_as_its_paper_and_sees_as_finely(name: str) -> None:
+    full = build_experiment(name, partial(packaged_recipe, full_size=True), BUDGET)
+    small = build_experiment(name, packaged_recipe, BUDGET)
+    assert [row.label for row in full.rows] == [row.label for row in small.rows]
+    for ours, theirs in zip(full.rows, small.rows, strict=True):
+        for one, other in zip(ours.training.chain(), theirs.training.chain(), strict=True):
+            assert one.config.model.width == 1.0
+            assert (one.name, one.passes) == (other.name, other.passes)
+            model = one.config.model
+            if "lidar" in model.sensors and model.system in STAGED:
+                assert model.preprocess.voxels.shape == (72, 72, 48)
+                assert one.config.loss == other.config.loss
+            if "image" in model.sensors and model.system in STAGED:
+                quarter = one.name.startswith(("image-coarse", "v-"))
+                quarter |= name in ("ablation-input", "ablation-pooling")
+                assert model.preprocess.image.size == ((150, 200) if quarter else (300, 400))
+
+
+def test_at_full_size_a_compared_system_has_its_papers_settings() -> None:
+    recipe = partial(packaged_recipe, full_size=True)
+    rows = {row.label: row for row in build_experiment("table-systems", recipe, BUDGET).rows}
+    netvlad = rows["NetVLAD"].training.config
+    assert netvlad == change_config(packaged_recipe("netvlad"), ("model.dim=256",))
+    assert rows["NetVLAD native"].training.config == packaged_recipe("netvlad")
+    assert rows["MinkLoc++"].training.config == packaged_recipe("minkloc")
+
+
+def test_the_papers_numbers_stand_beside_the_rows_that_it_has() -> None:
+    found = {}
+    for name in ("headline", "table-dimensions-full", "end-to-end"):
+        rows = build_experiment(name, packaged_recipe, BUDGET).rows
+        found |= {f"{name} {row.label}": row.published for row in rows}
+    for label in ("headline AdaFusion", "table-dimensions-full AdaFusion D-256"):
+        assert found[label] == Published(at_1=98.18, at_1_percent=99.21)
+    assert found["headline V"] == Published(at_1=87.68, at_1_percent=None)
+    assert found["table-dimensions-full L D-512"] == Published(at_1=93.27, at_1_percent=None)
+    assert found["end-to-end AdaFusion MLP only"] is None
+    odd = partial(packaged_recipe, changes=("model.dim=64",))
+    assert build_experiment("headline", odd, BUDGET).rows[0].published is None
 
 
 def test_verdicts_are_about_rows_that_there_are(experiment: Experiment) -> None:

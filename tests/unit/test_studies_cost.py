@@ -47,6 +47,7 @@ def test_the_table_has_the_ratio_and_the_picture_a_mark_a_row(tmp_path: Path) ->
         "rows": rows,
         "study": study,
         "protocols": {"cross-run": ""},
+        "training_data": [],
         "test_data": [{"synthetic": True}],
     }
     draw_cost(results, tmp_path / "cost.png")

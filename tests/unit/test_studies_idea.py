@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from adafusion.datasets.native import Dataset, DatasetInfo
+from adafusion.experiments.jobs import Job
 from adafusion.experiments.judging import ExamData, ask
 from adafusion.experiments.plan import Experiment
 from adafusion.experiments.studies import idea
-from adafusion.experiments.studies.described import described_by_seed
 from adafusion.experiments.studies.idea import (
     choose_matches,
     draw_idea,
@@ -24,6 +24,7 @@ from adafusion.experiments.studies.idea import (
     weight_distances,
 )
 from adafusion.experiments.study import Trained
+from adafusion.training import TrainConfig
 from adafusion.training.corpus import Corpus
 from adafusion.types import Descriptions, Frame, Split, UserError
 
@@ -107,15 +108,17 @@ def trained(root: Path, monkeypatch: pytest.MonkeyPatch, alphas: list[np.ndarray
         yield from ((described(alpha, x),) for alpha in alphas)
 
     monkeypatch.setattr(idea, "described_by_seed", say)
+    job = Job(name="", key="", config=TrainConfig(), passes=1, sources=(), folder=root)
     return Trained(
         experiment=Experiment(name="", words="", rows=(), protocols=("cross-run",), seeds=()),
-        rows={},
+        rows={"AdaFusion": (job,)},
         seeds=tuple(range(len(alphas))),
         corpus=Corpus((test.dataset,)),
         exams=(test,),
         questions=ask([test], "cross-run"),
         said={},
         converged=frozenset({"AdaFusion"}),
+        num_answers=0,
         cache=root,
         out=root,
     )
@@ -192,14 +195,7 @@ def test_page_and_picture_say_all_of_it(tmp_path: Path, monkeypatch: pytest.Monk
     assert sum(line.startswith("| nearest true, random wrong |") for line in lines) == 3
     assert sum("| park |" in line for line in lines) == 2
     path = tmp_path / "idea.png"
-    draw_idea({"study": study, "test_data": [{"synthetic": True}]}, path)
+    draw_idea({"study": study, "training_data": [], "test_data": [{"synthetic": True}]}, path)
     drawn = cv2.imread(str(path))
     assert drawn is not None
     assert drawn.std() > 5
-
-
-def test_a_row_that_was_left_away_cannot_be_looked_at(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with pytest.raises(UserError, match="leave it among the rows"):
-        next(described_by_seed(trained(tmp_path, monkeypatch, []), "AdaFusion"))

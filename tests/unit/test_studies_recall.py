@@ -23,6 +23,7 @@ def test_page_and_picture_are_made_whatever_rows_were_left(
         "study": study,
         "protocols": {"cross-run": ""},
         "rows": [row | {"label": name, "system": "concat"} for name in ("VL", "AdaFusion")],
+        "training_data": [],
         "test_data": [{"synthetic": True}],
     }
     assert sum(line.startswith("| VL |") for line in gains_section(study)) == len(others)

@@ -19,6 +19,7 @@ from adafusion.experiments.studies.remedy_facts import (
     spread,
     under_fixed_weights,
 )
+from adafusion.models import ModelConfig
 from adafusion.types import Descriptions, Split
 
 
@@ -100,10 +101,10 @@ def test_fixed_weights_are_each_sensors_mean() -> None:
     alpha = [[0.0, 0.2], [1.0, 0.2], [0.0, 0.2], [1.0, 0.2], [1.0, 0.2]]
     learnt = described(IMAGE, LIDAR, alpha)
     # image 0.6, LiDAR 0.2 all over: 0 -> 3 at 0.6 + 1.2 beats 0 -> 4 at 4.8
-    assert under_fixed_weights([learnt], WORLDS).tolist() == [1, 1]
+    assert under_fixed_weights([learnt], WORLDS, ModelConfig()).tolist() == [1, 1]
     # and with the image as good as gone, both find the other place first
     blind = [[0.01, 0.9]] * 5
-    found = under_fixed_weights([described(IMAGE, LIDAR, blind)], WORLDS)
+    found = under_fixed_weights([described(IMAGE, LIDAR, blind)], WORLDS, ModelConfig())
     assert found.tolist() == [2, 3]
 
 
@@ -169,6 +170,7 @@ def test_the_picture_is_drawn(tmp_path: Path) -> None:
             {"label": "VL", "converged": True},
             {"label": "AdaFusion", "converged": False, "why_not_ranked": "rising"},
         ],
+        "training_data": [],
         "test_data": [{"synthetic": True}],
     }
     assert REMEDIED.draw is not None

@@ -11,14 +11,15 @@ import pytest
 
 from adafusion.evaluation import summarize_alpha
 from adafusion.experiments.judging import Questions, pooled_alpha
+from adafusion.experiments.studies.described import at_weights
 from adafusion.experiments.studies.weighting import (
     EQUAL,
     SHARES,
     FixedShares,
-    at_share,
     shares_by_condition,
 )
 from adafusion.experiments.verdict import Asked
+from adafusion.models import ModelConfig
 from adafusion.types import Descriptions
 
 # three shares; queries 0 to 3 of one condition, 4 and 5 of another; halves of two queries each
@@ -56,11 +57,16 @@ def test_conditions_are_zones_and_kinds_of_pairs() -> None:
     assert rest == [night_hall, night_street]
 
 
-def test_a_share_weighs_the_image_and_the_rest_the_lidar() -> None:
+def test_weights_of_our_choice_join_the_halves_as_the_models_own_do() -> None:
     seen = Descriptions(
         None, np.array([[4.0, 8.0]], np.float32), np.array([[40.0, 80.0]], np.float32), None
     )
-    assert at_share(seen, 0.25).tolist() == [[1.0, 2.0, 30.0, 60.0]]
+    joined = [1.0, 2.0, 30.0, 60.0]
+    assert at_weights(seen, (0.25, 0.75), ModelConfig()).tolist() == [joined]
+    of_length_1 = at_weights(seen, (0.25, 0.75), ModelConfig(unit_length=True))
+    np.testing.assert_allclose(of_length_1, [np.array(joined) / np.linalg.norm(joined)], rtol=1e-6)
+    with pytest.raises(ValueError, match="two halves"):
+        at_weights(seen._replace(lidar_half=None), (0.25, 0.75), ModelConfig())
 
 
 @pytest.mark.parametrize(

@@ -71,13 +71,27 @@ def experiment(
         list[str] | None,
         typer.Option("--set", help="Change a key of every training: --set augment.color=0"),
     ] = None,
+    full_size: Annotated[
+        bool,
+        typer.Option(
+            "--full-size",
+            help="Networks and inputs of the papers' sizes, for a GPU; default: small.",
+        ),
+    ] = False,
+    results: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for NAME.md, .json and .png in place of OUT, where those of another "
+            "budget, other rows or seeds are to be kept."
+        ),
+    ] = None,
     cache: Cache = None,
 ) -> None:
     """Train and judge every row of a comparison on equal budgets, and write its table.
 
-    Writes OUT/NAME.json and OUT/NAME.md, and OUT/NAME.png where there is a figure. What was trained
-    and judged before, by this experiment or another in OUT, is taken as it is; after a kill the
-    same command goes on where it was.
+    Writes NAME.json and NAME.md, and NAME.png where there is a figure, over those of before. What
+    was trained and judged before, by this experiment or another in OUT, is taken as it is; after a
+    kill the same command goes on where it was.
 
     \b
     Example: adafusion experiment list
@@ -106,7 +120,11 @@ def experiment(
         whole = e.build_experiment(name, recipe, passes)
         return whole if labels is None else whole.only(labels)
 
-    rough = build(partial(e.packaged_recipe, changes=changes), 1)
+    packaged = partial(e.packaged_recipe, changes=changes, full_size=full_size)
+    rough = build(packaged, 1)
+    for text in changes:
+        if kept := _without_effect(text, rough):
+            say(f"--set {text}: set otherwise by the experiment in {', '.join(kept)}")
     chosen = rough.seeds if seeds is None else _numbers(seeds)  # no mistake waits for a rendering
     teaches = train or [Path(world) / "train"]
     judges = test or [Path(world) / "test"]
@@ -118,7 +136,7 @@ def experiment(
         budget = known or e.PASSES_A_FRAME * frames
 
     def recipe(training: str) -> TrainConfig:
-        return with_camera(e.packaged_recipe(training, changes), corpus.datasets[0])
+        return with_camera(packaged(training), corpus.datasets[0])
 
     asked = build(recipe, budget)
     planned = e.plan_jobs(asked, chosen, corpus, out)
@@ -126,8 +144,12 @@ def experiment(
     if plan:
         print(_plan(jobs, budget))
         return
-    make_folder(out)
-    exams = tuple(e.ExamData.of(open_data(path, cache)) for path in judges)
+    pages = results or out
+    for folder in (out, pages):
+        make_folder(folder)
+    exams: tuple[e.ExamData, ...] = ()
+    if asked.protocols:  # else nothing of the test set is looked at
+        exams = tuple(e.ExamData.of(open_data(path, cache)) for path in judges)
     for exam in exams:
         for protocol in asked.protocols:
             exam.splits(protocol)
@@ -140,7 +162,7 @@ def experiment(
             f"{count} of {len(todo)}: {job.name}, validation recall@1 {job.record()['best']:.1%}, "
             f"{job.record()['seconds'] / 60:.0f} min"
         )
-    results = e.measure(
+    found = e.measure(
         asked,
         planned,
         corpus,
@@ -152,17 +174,17 @@ def experiment(
         command=shlex.join(["adafusion", *sys.argv[1:]]),
         progress=bar,
     )
-    files = [out / f"{name}.json", out / f"{name}.md"]
-    write_json(files[0], results)  # before anything of it is drawn
+    files = [pages / f"{name}.json", pages / f"{name}.md"]
+    write_json(files[0], found)  # before anything of it is drawn
     section: list[str] = []
     picture = ""
     if asked.study is not None:
-        section = asked.study.section(results["study"])
+        section = asked.study.section(found["study"])
         if asked.study.draw is not None:
             picture = f"{name}.png"
-            asked.study.draw(results, out / picture)
-            files.append(out / picture)
-    text = e.page(results, section, picture)
+            asked.study.draw(found, pages / picture)
+            files.append(pages / picture)
+    text = e.page(found, section, picture)
     write_text(files[1], text)
     print(text)
     print("\n".join(map(str, files)))
@@ -176,6 +198,24 @@ def lines(items: Iterable[T], *, total: int | None = None, desc: str = "") -> It
         if time.monotonic() - last > LINE_EVERY_S:
             last = time.monotonic()
             say(f"{desc}: {count}" + ("" if total is None else f" of {total}"))
+
+
+def _without_effect(change: str, experiment: Experiment) -> list[str]:
+    """Labels of the rows that a change of every training does not reach everywhere."""
+    from adafusion.config import change_config
+    from adafusion.types import UserError
+
+    def is_in(config: TrainConfig) -> bool:
+        try:
+            return change_config(config, (change,)) == config
+        except UserError:  # it does not fit what the row sets itself
+            return False
+
+    return [
+        row.label
+        for row in experiment.rows
+        if not all(is_in(one.config) for one in row.training.chain())
+    ]
 
 
 def _numbers(text: str) -> tuple[int, ...]:

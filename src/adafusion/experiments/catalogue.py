@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from adafusion.config import change_config, configs_folder, load_config
 from adafusion.experiments.ablations import (
@@ -15,6 +16,7 @@ from adafusion.experiments.ablations import (
     remedies,
 )
 from adafusion.experiments.comparisons import (
+    end_to_end,
     figure_idea,
     figure_recall,
     figure_weights,
@@ -38,6 +40,7 @@ PASSES_A_FRAME = 40  # on any other data
 
 EXPERIMENTS: dict[str, Callable[[Recipe, int], Experiment]] = {
     "headline": headline,
+    "end-to-end": end_to_end,
     "pilot": pilot,
     "table-systems": table_systems,
     "table-dimensions": table_dimensions,
@@ -60,6 +63,34 @@ def build_experiment(name: str, recipe: Recipe, passes: int) -> Experiment:
     return EXPERIMENTS[name](recipe, passes)
 
 
-def packaged_recipe(name: str, changes: tuple[str, ...] = ()) -> TrainConfig:
-    """Read a training that comes with the package, with keys changed as `train --set` does."""
-    return change_config(load_config(TrainConfig, configs_folder() / f"{name}.yaml"), changes)
+def packaged_recipe(
+    name: str, changes: tuple[str, ...] = (), *, full_size: bool = False
+) -> TrainConfig:
+    """Read a training that comes with the package, with keys changed as `train --set` does.
+
+    At full size a compared system `NAME-s` is that of NAME.yaml, with its paper's settings; the
+    trainings of AdaFusion and its branches keep theirs, with networks and inputs of the paper's.
+    """
+    small = configs_folder() / f"{name}.yaml"
+    whole = small.with_name(f"{name.removesuffix('-s')}.yaml")
+    if not full_size:
+        config = load_config(TrainConfig, small)
+    elif whole != small and whole.exists():
+        config = load_config(TrainConfig, whole)
+    else:
+        config = _grown(load_config(TrainConfig, small))
+    return change_config(config, changes)
+
+
+def _grown(small: TrainConfig) -> TrainConfig:
+    """As wide as the paper's networks, on inputs as much finer."""
+    model = small.model
+    times = round(1 / model.width)
+    height, width = model.preprocess.image.size
+    x, y, z = model.preprocess.voxels.shape
+    preprocess = replace(
+        model.preprocess,
+        image=replace(model.preprocess.image, size=(times * height, times * width)),
+        voxels=replace(model.preprocess.voxels, shape=(times * x, times * y, times * z)),
+    )
+    return replace(small, model=replace(model, width=1.0, preprocess=preprocess))

@@ -90,6 +90,9 @@ class Questions:
         return {"all pairs": groups["all pairs"], **told_apart}
 
 
+NO_QUESTIONS = Questions(Asked(*np.zeros((3, 0), np.int64)), np.zeros(0, np.str_), ())
+
+
 @dataclass(frozen=True, eq=False)
 class Answers:
     """Of each query the rank of its best true match, 0 where none may answer; and N of 1 %."""
@@ -105,22 +108,30 @@ class Answers:
 
 def ask(worlds: Sequence[ExamData], protocol: str) -> Questions:
     """Number splits, blocks and worlds of all queries."""
-    split, block, world, zone = [], [], [], []
+    split, rows, zone = [], [], []
     kinds: list[frozenset[str]] = []
-    num_blocks = 0
-    for w, test in enumerate(worlds):
+    for test in worlds:
         splits = test.splits(protocol)
-        rows = np.concatenate([one.query_rows for one in splits])
-        here = place_blocks(test.dataset.positions_m[rows, :2], BLOCK_M)
+        rows.append(np.concatenate([one.query_rows for one in splits]).astype(np.int64))
         lengths = [len(one.query_rows) for one in splits]
         split.append(np.repeat(len(kinds) + np.arange(len(splits)), lengths))
-        block.append(num_blocks + here)
-        world.append(np.full(len(rows), w))
-        zone += [test.dataset.frames[row].zone or "" for row in rows]
+        zone += [test.dataset.frames[row].zone or "" for row in rows[-1]]
         kinds += [pair_kinds(one.name) for one in splits]
-        num_blocks += int(here.max()) + 1
-    asked = Asked(*(np.concatenate(part).astype(np.int64) for part in (split, block, world)))
-    return Questions(asked, np.array(zone), tuple(kinds))
+    block, world = blocks_and_worlds(worlds, rows)
+    return Questions(Asked(np.concatenate(split), block, world), np.array(zone), tuple(kinds))
+
+
+def blocks_and_worlds(
+    worlds: Sequence[ExamData], rows: Sequence[Int64[np.ndarray, " n"]]
+) -> tuple[Int64[np.ndarray, " q"], Int64[np.ndarray, " q"]]:
+    """Numbers of the 50 m block and of the world of some rows of each world, joined."""
+    blocks = []
+    count = 0
+    for test, here in zip(worlds, rows, strict=True):
+        blocks.append(count + place_blocks(test.dataset.positions_m[here, :2], BLOCK_M))
+        count = int(blocks[-1].max()) + 1
+    world = np.repeat(np.arange(len(rows)), [len(here) for here in rows])
+    return np.concatenate(blocks).astype(np.int64), world
 
 
 def pair_kinds(split_name: str) -> frozenset[str]:

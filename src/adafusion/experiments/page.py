@@ -23,7 +23,7 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
     """Write the page; `section` is what a study says, `picture` the name of a file beside it."""
     seeds = results["seeds"]
     exploratory = " Exploratory: one seed, which decides nothing." if len(seeds) == 1 else ""
-    data = results["test_data"]
+    data = [*results["training_data"], *results["test_data"]]
     synthetic = "SYNTHETIC data: " if any(one["synthetic"] for one in data) else "Data: "
     software = results["software"]
     lines = [
@@ -35,14 +35,11 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         "",
         synthetic
         + "trained on "
-        + ", ".join(f"{d['name']} {d['version']} ({d['fingerprint']})" for d in _of(results))
-        + "; judged on "
         + ", ".join(
-            f"{d['name']} {d['version']} ({d['fingerprint']}, {d['frames']} frames in "
-            f"{len(d['runs'])} runs, {d['left_out_for_lack_of_a_sensor']} left out for lack of a "
-            "sensor)"
-            for d in data
+            f"{d['name']} {d['version']} ({d['fingerprint']})" for d in results["training_data"]
         )
+        + "; judged on "
+        + (", ".join(map(_exam, results["test_data"])) or "its validation region")
         + ".",
         "",
         f"Machine: {software['platform']}, {results['machine']['processors']} processors, "
@@ -50,7 +47,7 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         f"Seeds {', '.join(map(str, seeds))}. From a budget of {results['budget']:,} frame passes; "
         "what each seed of a row spent stands beside it. The trainings took "
         f"{_duration(results['training_seconds'])}, added up.",
-        *(_of_test(results) if results.get("shows_test", True) else []),
+        *(_of_test(results) if results["protocols"] else []),
         *section,
     ]
     if picture:
@@ -89,8 +86,12 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.1f} min" if seconds < 3600 else f"{seconds / 3600:.1f} h"
 
 
-def _of(results: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
-    return results["training_data"]
+def _exam(data: Mapping[str, Any]) -> str:
+    return (
+        f"{data['name']} {data['version']} ({data['fingerprint']}, {data['frames']} frames in "
+        f"{len(data['runs'])} runs, {data['left_out_for_lack_of_a_sensor']} left out for lack of a "
+        "sensor)"
+    )
 
 
 def _table(results: Mapping[str, Any]) -> list[str]:

@@ -18,6 +18,14 @@ else:  # drawing is optional
     Figure: TypeAlias = Any
 
 
+def marked(results: Mapping[str, Any]) -> dict[str, str]:
+    """Each row's label as a picture shows it: with the reason where the row is not ranked."""
+    return {
+        row["label"]: row["label"] + ("" if row["converged"] else f" ({row['why_not_ranked']})")
+        for row in results["rows"]
+    }
+
+
 @contextmanager
 def picture(
     path: Path, results: Mapping[str, Any], height: float, width: float = plots.WIDE
@@ -37,7 +45,7 @@ def picture(
     with context(["default", plots.STYLE]):
         figure = drawn.Figure((width, height), layout="constrained")
         yield figure
-        if any(data["synthetic"] for data in results["test_data"]):
+        if any(data["synthetic"] for data in (*results["training_data"], *results["test_data"])):
             figure.suptitle("SYNTHETIC data")
         with atomic_path(path) as temporary:
             figure.savefig(temporary, dpi=150, facecolor="white")

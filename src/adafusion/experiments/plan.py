@@ -62,7 +62,11 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """Rows under protocols. The first protocol sorts the table and is the one of the verdicts."""
+    """Rows under protocols. The first protocol sorts the table and is the one of the verdicts.
+
+    Without any, the rows are judged on validation alone: what an experiment decides for others must
+    not be decided by the test set.
+    """
 
     name: str
     words: str
@@ -71,7 +75,6 @@ class Experiment:
     seeds: tuple[int, ...]
     verdicts: tuple[tuple[str, str], ...] = ()  # labels: does the first do better than the second?
     study: Study | None = None  # what is looked at beside the table
-    shows_test: bool = True  # False: what it decides must not be decided by the test set
     studied: tuple[str, ...] = ()  # labels: the study needs at least one of these rows
 
     def only(self, labels: list[str]) -> Experiment:

@@ -30,6 +30,7 @@ from adafusion.experiments.jobs import (
 )
 from adafusion.experiments.judging import (
     KS,
+    NO_QUESTIONS,
     Answers,
     ExamData,
     Questions,
@@ -72,7 +73,10 @@ def measure(
     command: str,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Evaluate every trained row that is not yet evaluated, and put the results together."""
+    """Evaluate every trained row that is not yet evaluated, and put the results together.
+
+    An experiment without protocols is judged on validation alone: no exam is looked at.
+    """
     protocols = experiment.protocols
     questions = {protocol: ask(exams, protocol) for protocol in protocols}
     num_answers = validation_answers(corpus)
@@ -81,6 +85,10 @@ def measure(
     data: list[Any] = []
     for row in experiment.rows:
         jobs = rows[row.label]
+        learnt = _learnt(row, jobs, num_answers)
+        if not protocols:
+            table.append(learnt)
+            continue
         records = [
             evaluate_model(
                 job.name,
@@ -107,7 +115,7 @@ def measure(
         }
         table.append(
             {
-                **_row(row, jobs, num_answers),
+                **learnt,
                 "parameters": first["model"]["parameters"],
                 "length": first["model"]["length"],  # numbers in a descriptor
                 "models": [record[protocols[0]][0]["model"]["fingerprint"] for record in records],
@@ -124,10 +132,11 @@ def measure(
         seeds=tuple(seeds),
         corpus=corpus,
         exams=tuple(exams),
-        questions=questions[protocols[0]],
+        questions=questions[protocols[0]] if protocols else NO_QUESTIONS,
         said=said,
-        alpha={row["label"]: row["alpha"] for row in table},
+        alpha={row["label"]: row["alpha"] for row in table if protocols},
         converged=frozenset(row["label"] for row in table if row["converged"]),
+        num_answers=num_answers,
         cache=cache,
         out=out,
         progress=progress,
@@ -136,7 +145,6 @@ def measure(
         "schema": SCHEMA,
         "experiment": experiment.name,
         "words": experiment.words,
-        "shows_test": experiment.shows_test,
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
         "command": command,
         "commit": git_commit(),
@@ -177,7 +185,7 @@ def _hits(
     return np.stack([values(one)[answerable] for one in seeds]), asked
 
 
-def _row(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
+def _learnt(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
     """What the table says of a row's training; counts of passes are those of one seed."""
     records = {job.key: job.record() for job in jobs[0].chain()}
     curve = row_curve(jobs)

@@ -28,6 +28,7 @@ class Trained:
     questions: Questions  # of the first protocol
     said: Mapping[str, tuple[Answers, ...]]  # by label, the answers to them of each seed
     converged: frozenset[str]  # labels
+    num_answers: int  # queries of the validation region that can be answered
     # by label, of each seed's weights the summaries by zone and of "all"; None without weights
     alpha: Mapping[str, Sequence[Mapping[str, Any] | None]] = field(default_factory=dict)
     cache: Path

@@ -93,6 +93,7 @@ def weight_distances(
     xy_m: Float64[np.ndarray, "n 2"],
     split: Split,
     rng: np.random.Generator,
+    p: int = 1,
 ) -> tuple[Bool[np.ndarray, " q"], dict[str, Float64[np.ndarray, "asked 3"]]]:
     """How far each query's alpha is from that of each of its matches, by kind of match.
 
@@ -105,7 +106,7 @@ def weight_distances(
     apart_m = np.hypot(*np.moveaxis(xy_m[query, None] - xy_m[None, database], -1, 0))
     asked = (apart_m <= split.radius_m).any(axis=1)
     asked &= (apart_m > max(split.radius_m, ELSEWHERE_M)).any(axis=1)
-    distance = pairwise_distances(described.fused[query[asked]], described.fused[database])
+    distance = pairwise_distances(described.fused[query[asked]], described.fused[database], p=p)
     matches = choose_matches(distance, apart_m[asked], split.radius_m, rng)
     alpha = described.alpha.astype(np.float64)
     found = {}
@@ -119,10 +120,11 @@ def measure_idea(trained: Trained) -> dict[str, Any]:
     """Distances of alpha under cross-run: their means, which are larger, and their quantiles."""
     questions = ask(trained.exams, PROTOCOL)
     by_seed = []
+    p = trained.rows[WEIGHED][0].config.model.p
     for descriptions in described_by_seed(trained, WEIGHED):
         rng = np.random.default_rng(SEED)  # the same matches at random for every seed
         parts = [
-            weight_distances(described, exam.dataset.positions_m[:, :2], split, rng)
+            weight_distances(described, exam.dataset.positions_m[:, :2], split, rng, p)
             for exam, described in zip(trained.exams, descriptions, strict=True)
             for split in exam.splits(PROTOCOL)
         ]

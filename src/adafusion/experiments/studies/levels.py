@@ -12,7 +12,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from adafusion.experiments.budget import validation_answers
 from adafusion.experiments.convergence import half_width
 from adafusion.experiments.jobs import passes_of, row_curve
 from adafusion.experiments.picture import picture
@@ -33,7 +32,7 @@ def measure_levels(trained: Trained) -> dict[str, Any]:
             "rising": label not in trained.converged,
         }
         one["tried"] = sorted([*one["tried"], tried], key=lambda each: each["passes"])
-    return {"answers": validation_answers(trained.corpus), "rows": systems}
+    return {"answers": trained.num_answers, "rows": systems}
 
 
 def levels_off_at(tried: Sequence[Mapping[str, Any]], num_answers: int) -> int | None:

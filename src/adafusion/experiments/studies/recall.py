@@ -13,7 +13,7 @@ import numpy as np
 
 from adafusion.experiments.judging import KS, answerable_of
 from adafusion.experiments.page import in_percent
-from adafusion.experiments.picture import picture
+from adafusion.experiments.picture import marked, picture
 from adafusion.experiments.study import Study, Trained
 from adafusion.experiments.verdict import estimate, judge_difference, plain_verdict
 from adafusion.report import plots
@@ -55,12 +55,12 @@ def draw_recall(results: Mapping[str, Any], path: Path) -> None:
     protocol = next(iter(results["protocols"]))
     colors = plots.system_colors(row["system"] for row in results["rows"])
     color_of = {row["label"]: colors[row["system"]] for row in results["rows"]}
+    named = marked(results)
     with picture(path, results, 3.7) as figure:
         recall, gain = figure.subplots(1, 2)
         for row in results["rows"]:
             measures = row["recall"][protocol]
-            label = row["label"] + ("" if row["converged"] else f" ({row['why_not_ranked']})")
-            _curve(recall, measures, color_of[row["label"]], label)
+            _curve(recall, measures, color_of[row["label"]], named[row["label"]])
         for other, gains in results["study"]["gains"].items():
             _curve(gain, gains["at"], color_of[other], f"over {other}")
         gain.axhline(0.0, color=plots.FAINT, linewidth=1.0)

@@ -19,7 +19,7 @@ from jaxtyping import Bool
 from adafusion.experiments.jobs import kept_after
 from adafusion.experiments.judging import answerable_of
 from adafusion.experiments.page import in_percent
-from adafusion.experiments.picture import picture
+from adafusion.experiments.picture import marked, picture
 from adafusion.experiments.studies.described import described_by_seed
 from adafusion.experiments.studies.remedy_facts import (
     GRADIENT_BATCHES,
@@ -46,9 +46,9 @@ def measure_remedies(trained: Trained) -> dict[str, Any]:
         seeds, fixed = [], []
         for job, described in zip(jobs, described_by_seed(trained, label), strict=True):
             taught = gradients(load_model(job.model), job.config, data, validation)
-            facts = look(described, worlds)
+            facts = look(described, worlds, job.config.model.p)
             seeds.append({**facts, "gradient": taught, "kept": kept_after(job)})
-            fixed.append(under_fixed_weights(described, worlds) == 1)
+            fixed.append(under_fixed_weights(described, worlds, job.config.model) == 1)
         rows[label] = {"seeds": seeds, "recall": _recalls(trained, label, np.stack(fixed))}
     return {"rows": rows}
 
@@ -162,10 +162,7 @@ def _number(value: float | None, digits: int, scale: float = 1.0) -> str:
 def draw_remedies(results: Mapping[str, Any], path: Path) -> None:
     """Recall@1 under learnt and under fixed weights, and where the weights of each row lie."""
     study = results["study"]["rows"]
-    mark = {
-        row["label"]: "" if row["converged"] else f" ({row['why_not_ranked']})"
-        for row in results["rows"]
-    }
+    named = marked(results)
     labels = list(study)[::-1]  # the first on top
     at = np.arange(len(labels))
     with picture(path, results, 1.2 + 0.34 * len(labels)) as figure:
@@ -178,7 +175,7 @@ def draw_remedies(results: Mapping[str, Any], path: Path) -> None:
         recall.plot(fixed, at, "o", color=plots.INK, markerfacecolor="white", label="fixed weights")
         recall.plot(learnt, at, "o", color=plots.INK, label="learnt weights")
         recall.set_xlabel("recall@1 (%)")
-        recall.set_yticks(at, [label + mark[label] for label in labels])
+        recall.set_yticks(at, [named[label] for label in labels])
         for side, (sensor, color) in enumerate((("image", plots.IMAGE), ("LiDAR", plots.LIDAR))):
             for y, label in enumerate(labels):
                 alphas = [one["alpha"] for one in study[label]["seeds"] if one["alpha"]]

@@ -13,7 +13,8 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from adafusion.evaluation import answer_groups, contribution_shares, evaluate_splits
-from adafusion.models import PlaceModel
+from adafusion.experiments.studies.described import at_weights
+from adafusion.models import ModelConfig, PlaceModel
 from adafusion.preprocess.cache import PreparedSet
 from adafusion.search import pairwise_distances
 from adafusion.training import TrainConfig
@@ -29,17 +30,18 @@ NETS = {"image": "image_net", "lidar": "voxel_net", "weights": "weight_net"}
 World = tuple[Float[np.ndarray, "n xy_or_xyz"], Sequence[Split]]
 
 
-def look(described: Sequence[Descriptions], worlds: Sequence[World]) -> dict[str, Any]:
+def look(described: Sequence[Descriptions], worlds: Sequence[World], p: int = 1) -> dict[str, Any]:
     """What one model's weights are and what they work on, over all frames of the test data.
 
     Pairs of numbers are (image, LiDAR); `alpha` is None where the model has none. The image's share
-    of the distance is the mean over answerable queries, to the nearest true and wrong match.
+    of the L1 distance is the mean over answerable queries, to the nearest true and wrong match by
+    the distance of `p`.
     """
     share: dict[str, list[Float[np.ndarray, " q"]]] = {"true": [], "wrong": []}
     for one, (positions, splits) in zip(described, worlds, strict=True):
         assert one.fused is not None  # every test frame has both sensors
         for split in splits:
-            rows = nearest_matches(one.fused, positions, split)
+            rows = nearest_matches(one.fused, positions, split, p)
             for kind, match in zip(share, rows[1:], strict=True):
                 shares = contribution_shares(one.fused[rows[0]], one.fused[match])
                 share[kind].append(shares[:, 0])
@@ -72,17 +74,20 @@ def lengths(described: Sequence[Descriptions]) -> dict[str, list[float]]:
 
 
 def nearest_matches(
-    fused: Float[np.ndarray, "n d"], positions: Float[np.ndarray, "n xy_or_xyz"], split: Split
+    fused: Float[np.ndarray, "n d"],
+    positions: Float[np.ndarray, "n xy_or_xyz"],
+    split: Split,
+    p: int = 1,
 ) -> Int64[np.ndarray, "3 q"]:
     """Rows of each query, of its nearest true match and of its nearest wrong one.
 
-    By L1. Queries that lack one of the two are left out.
+    By L1, or L2 where p is 2. Queries that lack one of the two are left out.
     """
     query, database = split.query_rows.astype(np.int64), split.database_rows.astype(np.int64)
     groups = answer_groups(split, query)
     gap = positions[query, None, :2] - positions[None, database, :2]
     is_near = np.square(gap).sum(axis=2) <= split.radius_m**2
-    distance = pairwise_distances(fused[query], fused[database])
+    distance = pairwise_distances(fused[query], fused[database], p=p)
     distance[groups[0][:, None] == groups[1]] = np.inf  # may not answer
     to_true, to_wrong = (np.where(kind, distance, np.inf) for kind in (is_near, ~is_near))
     found = np.stack([query, database[to_true.argmin(axis=1)], database[to_wrong.argmin(axis=1)]])
@@ -91,7 +96,7 @@ def nearest_matches(
 
 
 def under_fixed_weights(
-    described: Sequence[Descriptions], worlds: Sequence[World]
+    described: Sequence[Descriptions], worlds: Sequence[World], config: ModelConfig
 ) -> Int64[np.ndarray, " q"]:
     """Rank of each query's best true match (0: none may answer) if the weights never changed.
 
@@ -102,8 +107,7 @@ def under_fixed_weights(
     constant = np.ones(2, np.float32) if alpha is None else alpha.mean(axis=0)
     ranks = []
     for one, world in zip(described, worlds, strict=True):
-        halves = constant[:, None] * _halves(one)
-        answered = evaluate_splits(halves.reshape(len(halves), -1), *world)
+        answered = evaluate_splits(at_weights(one, constant, config), *world, p=config.p)
         ranks += [result.first_hit for result in answered.results]
     return np.concatenate(ranks)
 

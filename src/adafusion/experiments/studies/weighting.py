@@ -20,17 +20,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float64, Int64
+from jaxtyping import Float64, Int64
 
 from adafusion.evaluation import evaluate_splits
 from adafusion.evaluation.validation import region_recall
 from adafusion.experiments.describing import describe_frames, load_trained
 from adafusion.experiments.jobs import Job
-from adafusion.experiments.judging import (
-    answerable_of,
-)
+from adafusion.experiments.judging import answerable_of
 from adafusion.experiments.page import in_percent
-from adafusion.experiments.picture import picture
+from adafusion.experiments.picture import marked, picture
+from adafusion.experiments.studies.described import at_weights
 from adafusion.experiments.study import Study, Trained
 from adafusion.experiments.verdict import (
     by_seed,
@@ -40,7 +39,6 @@ from adafusion.experiments.verdict import (
 )
 from adafusion.models.frozen import describe_frozen
 from adafusion.report import plots
-from adafusion.types import Descriptions
 
 SHARES = tuple(i / 20 for i in range(21))  # of the image; the LiDAR has the rest
 EQUAL = SHARES.index(0.5)
@@ -130,17 +128,18 @@ def fixed_shares(job: Job, trained: Trained) -> FixedShares:
     rows = trained.corpus.rows("validation")
     judge = region_recall(data, rows)
     seen = describe_frozen(model, data, rows, trained.cache, trained.progress)
-    validation = np.array([judge(at_share(seen, share), model.config.p) for share in SHARES])
+    alphas = [(share, 1.0 - share) for share in SHARES]
+    p = model.config.p
+    validation = np.array([judge(at_weights(seen, alpha, model.config), p) for alpha in alphas])
     hits: list[list[np.ndarray]] = [[] for _ in SHARES]
     for exam in trained.exams:
         splits = exam.splits(trained.experiment.protocols[0])
         seen = describe_frames(
             model, exam.dataset, trained.cache, trained.out, trained.progress, frozen=True
         )
-        for of_share, share in zip(hits, SHARES, strict=True):
-            answered = evaluate_splits(
-                at_share(seen, share), exam.dataset.positions_m, splits, ks=[1], p=model.config.p
-            )
+        for of_share, alpha in zip(hits, alphas, strict=True):
+            fused = at_weights(seen, alpha, model.config)
+            answered = evaluate_splits(fused, exam.dataset.positions_m, splits, ks=[1], p=p)
             of_share += [(one.first_hit == 1).astype(np.int64) for one in answered.results]
     return FixedShares(validation, np.stack([np.concatenate(of_share) for of_share in hits]))
 
@@ -167,14 +166,6 @@ def shares_by_condition(
             right = hits[:, there].sum(axis=1)
             chosen[here] = np.lexsort((near, right))[-1]
     return hits[chosen, np.arange(hits.shape[1])]
-
-
-def at_share(seen: Descriptions, share: float) -> Float[np.ndarray, "n dim"]:
-    """Descriptors whose image half has the weight `share`, and the LiDAR half the rest."""
-    assert seen.image_half is not None
-    assert seen.lidar_half is not None
-    halves = [np.float32(share) * seen.image_half, np.float32(1.0 - share) * seen.lidar_half]
-    return np.concatenate(halves, axis=1)
 
 
 def _alpha(trained: Trained, label: str) -> dict[str, list[float]] | None:
@@ -237,10 +228,7 @@ def draw_weighting(results: Mapping[str, Any], path: Path) -> None:
     }
     with picture(path, results, 1.2 + 0.28 * len(gains)) as figure:
         by_share, gained = figure.subplots(1, 2, width_ratios=(2, 3))
-        mark = {
-            row["label"]: "" if row["converged"] else f" ({row['why_not_ranked']})"
-            for row in results["rows"]
-        }
+        named = marked(results)
         for key, word, style in (
             ("recall_by_share", "test", "-"),
             ("validation_by_share", "validation", "--"),
@@ -257,7 +245,7 @@ def draw_weighting(results: Mapping[str, Any], path: Path) -> None:
                 low, high = difference["interval"]
                 gained.plot([100 * low, 100 * high], [i, i], color=plots.INK, linewidth=1.2)
         gained.axvline(0.0, color=plots.FAINT, linewidth=1.0)
-        gained.set_yticks(range(len(gains)), [label + mark.get(label, "") for label in gains])
+        gained.set_yticks(range(len(gains)), [named.get(label, label) for label in gains])
         gained.invert_yaxis()
         gained.set_xlabel("recall@1 minus that of equal weights (points)")
 

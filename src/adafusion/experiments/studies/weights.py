@@ -20,8 +20,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from adafusion.evaluation.evaluate import BLOCK_M
-from adafusion.evaluation.metrics import place_blocks
+from adafusion.experiments.judging import blocks_and_worlds
 from adafusion.experiments.page import in_percent
 from adafusion.experiments.studies.described import WEIGHED, described_by_seed
 from adafusion.experiments.studies.stretches import (
@@ -57,21 +56,16 @@ class TestFrames:
     def of(cls, trained: Trained) -> TestFrames:
         """The frames that ask a question under the first protocol."""
         frames: list[Frame] = []
-        rows, world, block = [], [], []
-        num_blocks = 0
-        for w, exam in enumerate(trained.exams):
+        rows = []
+        for exam in trained.exams:
             splits = exam.splits(trained.experiment.protocols[0])
             here = np.unique(np.concatenate([split.query_rows for split in splits]))
             rows.append(here.astype(np.int64))
             frames += [exam.dataset.frames[row] for row in here]
-            world.append(np.full(len(here), w))
-            blocks = place_blocks(exam.dataset.positions_m[here, :2], BLOCK_M)
-            block.append(num_blocks + blocks)
-            num_blocks += int(blocks.max()) + 1
-        worlds = np.concatenate(world)
-        runs = [f"{w} {frame.run}" for w, frame in zip(worlds, frames, strict=True)]
+        block, world = blocks_and_worlds(trained.exams, rows)
+        runs = [f"{w} {frame.run}" for w, frame in zip(world, frames, strict=True)]
         split = np.unique(runs, return_inverse=True)[1]
-        return cls(tuple(frames), Asked(split, np.concatenate(block), worlds), tuple(rows))
+        return cls(tuple(frames), Asked(split, block, world), tuple(rows))
 
 
 def judge_claim(
