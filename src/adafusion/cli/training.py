@@ -160,6 +160,7 @@ def _watch(name: str, steps: Iterable[Step], out: Path) -> float:
         SummaryWriter(out / "log") as log,
         tqdm(desc=name, unit="batch", dynamic_ncols=True) as shown,
     ):
+        shown.set_postfix_str("validating before the first batch")  # which may take a minute
         for step in steps:
             if shown.total is None:
                 shown.total, shown.initial, shown.n = step.batches, step.batch, step.batch
