@@ -130,7 +130,8 @@ class Estimate:
 
     def in_percent(self, sign: str = "") -> str:
         """Print a fraction as `81.3 [78.1, 84.0]`; sign "+" for a difference, in points."""
-        value, *ends = (f"{100 * x:{sign}.1f}" for x in (self.value, *(self.interval or ())))
+        percent = (round(100 * x, 1) + 0.0 for x in (self.value, *(self.interval or ())))  # no -0.0
+        value, *ends = (f"{x:{sign}.1f}" for x in percent)
         return f"{value} [{', '.join(ends)}]" if ends else value
 
 

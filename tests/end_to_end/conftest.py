@@ -90,13 +90,15 @@ def run_experiment(
 ) -> Callable[..., tuple[dict[str, Any], str]]:
     """Train and judge some rows of an experiment in `tmp_path`; its results and its page."""
 
-    def run(name: str, labels: list[str], budget: int = 160) -> tuple[dict[str, Any], str]:
+    def run(
+        name: str, labels: list[str], budget: int = 160, worlds: int = 1
+    ) -> tuple[dict[str, Any], str]:
         recipe = partial(packaged_recipe, changes=tiny_changes)
         experiment = build_experiment(name, recipe, budget).only(labels)
         corpus = Corpus((tiny_world,))
         rows = plan_jobs(experiment, [0], corpus, tmp_path)
         list(train_jobs(all_jobs(rows), corpus, cache))
-        exams = [ExamData.of(tiny_world)]
+        exams = [ExamData.of(tiny_world)] * worlds
         told = {"passes": budget, "seeds": [0], "command": ""}
         results = measure(experiment, rows, corpus, exams, cache, tmp_path, **told)
         results = json.loads(json.dumps(results))  # as they are kept

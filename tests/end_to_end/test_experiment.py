@@ -29,6 +29,7 @@ from adafusion.experiments import (
 from adafusion.experiments.budget import batches_of
 from adafusion.experiments.judging import answers, ask, evaluate_model
 from adafusion.models import load_model
+from adafusion.training import TrainConfig
 from adafusion.training.corpus import Corpus
 from adafusion.training.sampler import Sampler
 from adafusion.training.settings import Mining, Sampling
@@ -118,9 +119,9 @@ def test_a_change_that_the_experiment_makes_otherwise_is_told_with_the_rows(
     type_in, tiny_world: Dataset, tmp_path: Path
 ) -> None:
     words = ["--train", tiny_world.root, "--test", tiny_world.root, "--out", tmp_path, "--plan"]
-    said = type_in("experiment", "ablation-input", *words, "--set", "norms=true")
-    rows = "L last norm alone, L no norm, V last norm alone, V no norm"
-    assert f"--set norms=true: set otherwise by the experiment in {rows}\n" in said.err
+    said = type_in("experiment", "ablation-input", *words, "--set", "model.last_norm=true")
+    rows = "L no norm, V no norm"
+    assert f"--set model.last_norm=true: set otherwise by the experiment in {rows}\n" in said.err
     said = type_in("experiment", "ablation-input", *words, "--set", "augment.hue=0.1")
     assert "set otherwise" not in said.err
 
@@ -289,6 +290,8 @@ def test_what_is_asked_wrongly_is_answered_with_the_remedy(
         ["headline", "--set", "model.widht=1"],
         ["headline", "--set", "seed=7"],
         ["headline", "--set", "batches=20"],
+        ["headline", "--set", "norms=true"],
+        ["headline", "--set", "model.system=concat"],
         ["ablation-weights", "--rows", "VL,AdaFusion"],
     ],
 )
@@ -343,3 +346,44 @@ def test_data_without_a_validation_region_is_sent_to_be_split(
     path.write_text(yaml.safe_dump({**info, "regions": {}}))
     with pytest.raises(UserError, match="adafusion split"):
         Corpus.open([folder]).rows("validation")
+
+
+@pytest.mark.slow
+def test_a_world_taken_twice_gives_its_own_recall_from_twice_the_queries(run_experiment) -> None:
+    labels = ["L", "VL"]
+    once, _ = run_experiment("figure-recall", labels)
+    twice, _ = run_experiment("figure-recall", labels, worlds=2)
+    for row, again in zip(once["rows"], twice["rows"], strict=True):
+        for name, recall in row["recall"]["cross-run"].items():
+            assert again["recall"]["cross-run"][name]["value"] == pytest.approx(recall["value"])
+    assert len(twice["test_data"]) == 2
+
+
+@pytest.mark.slow
+def test_mining_that_would_begin_after_the_last_batch_begins_after_a_quarter_of_them(
+    tiny_world: Dataset, tiny_changes: tuple[str, ...], tmp_path: Path
+) -> None:
+    corpus = Corpus((tiny_world,))
+
+    def planned(after: int) -> TrainConfig:
+        def recipe(name: str) -> TrainConfig:
+            config = packaged_recipe(name, tiny_changes)
+            if config.sampling.mining is None:
+                return config
+            mining = replace(config.sampling.mining, after=after)
+            return replace(config, sampling=replace(config.sampling, mining=mining))
+
+        experiment = build_experiment("table-systems", recipe, 2000).only(["PointNetVLAD"])
+        return plan_jobs(experiment, [0], corpus, tmp_path)["PointNetVLAD"][0].config
+
+    early, late = planned(3), planned(10_000)
+    assert early.sampling.mining.after == 3
+    assert late.batches is not None
+    assert 0 < late.sampling.mining.after <= late.batches // 3
+
+
+def test_a_training_that_lies_there_by_another_name_is_not_done_again(branch) -> None:
+    job = branch("out")
+    other = job.folder.with_name(f"another-seed0-{job.key}")
+    other.mkdir(parents=True)
+    assert branch("out").folder == other

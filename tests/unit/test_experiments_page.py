@@ -30,6 +30,7 @@ def row(label: str, value: float, converged: bool) -> dict[str, Any]:
         "alpha": [None],
         "recall": {"cross-run": {"AR@1": estimate, "AR@1%": estimate}},
         "recall@1_by_seed": [value],
+        "rate_falls_to_zero": True,
     }
 
 
@@ -81,3 +82,6 @@ def test_the_page_says_what_its_numbers_are_worth(results: dict[str, Any]) -> No
     assert "rising 50 %; guessed 50 %; good 50 %." in text
     assert "1,000 / -" in text  # passes through the image's network; it has no other
     assert "Exploratory" not in page({**results, "seeds": [0, 1]})
+    assert "Rates fall to zero, which" in text
+    results["rows"][0]["rate_falls_to_zero"] = False
+    assert "Rates fall to zero (but not those of rising), which" in page(results)

@@ -164,10 +164,13 @@ def test_a_rising_curve_is_told_from_one_that_levelled_off(
 def test_a_row_is_not_ranked_while_it_rises_nor_if_it_never_did(
     curve: list[float], from_scratch: bool, why_not: str
 ) -> None:
-    assert why_not_ranked(curve, 1000, from_scratch=from_scratch) == why_not
+    assert why_not_ranked(curve, 1000, scratch=[curve] * from_scratch) == why_not
 
 
 def test_a_row_waits_for_the_branches_that_it_starts_from() -> None:
     flat, rising = [0.3, 0.3, 0.3, 0.3, 0.3], [0.1, 0.15, 0.2, 0.25, 0.4]
-    assert why_not_ranked(flat, 1000, parts=[flat], from_scratch=False) == ""
-    assert why_not_ranked(flat, 1000, parts=[flat, rising], from_scratch=False) == "not converged"
+    assert why_not_ranked(flat, 1000, parts=[flat]) == ""
+    assert why_not_ranked(flat, 1000, parts=[flat, rising]) == "not converged"
+    # a branch that learnt nothing spoils what starts from it, however well that learns
+    learnt = [0.1, 0.4, 0.5, 0.5, 0.5]
+    assert why_not_ranked(learnt, 1000, parts=[flat], scratch=[flat]) == "did not learn"

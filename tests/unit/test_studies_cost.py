@@ -47,6 +47,9 @@ def test_the_table_has_the_ratio_and_the_picture_a_mark_a_row(tmp_path: Path) ->
         "rows": rows,
         "study": study,
         "protocols": {"cross-run": ""},
+        "experiment": "made",
+        "budget": 100,
+        "seeds": [0],
         "training_data": [],
         "test_data": [{"synthetic": True}],
     }

@@ -112,7 +112,6 @@ def trained(root: Path, monkeypatch: pytest.MonkeyPatch, alphas: list[np.ndarray
     return Trained(
         experiment=Experiment(name="", words="", rows=(), protocols=("cross-run",), seeds=()),
         rows={"AdaFusion": (job,)},
-        seeds=tuple(range(len(alphas))),
         corpus=Corpus((test.dataset,)),
         exams=(test,),
         questions=ask([test], "cross-run"),
@@ -195,7 +194,17 @@ def test_page_and_picture_say_all_of_it(tmp_path: Path, monkeypatch: pytest.Monk
     assert sum(line.startswith("| nearest true, random wrong |") for line in lines) == 3
     assert sum("| park |" in line for line in lines) == 2
     path = tmp_path / "idea.png"
-    draw_idea({"study": study, "training_data": [], "test_data": [{"synthetic": True}]}, path)
+    draw_idea(
+        {
+            "study": study,
+            "experiment": "made",
+            "budget": 100,
+            "seeds": [0],
+            "training_data": [],
+            "test_data": [{"synthetic": True}],
+        },
+        path,
+    )
     drawn = cv2.imread(str(path))
     assert drawn is not None
     assert drawn.std() > 5

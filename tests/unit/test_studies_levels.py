@@ -59,7 +59,14 @@ def test_the_table_says_what_each_doubling_brought() -> None:
 
 def test_the_picture_is_drawn(tmp_path: Path) -> None:
     draw_levels(
-        {"study": STUDY, "training_data": [], "test_data": [{"synthetic": True}]},
+        {
+            "study": STUDY,
+            "experiment": "made",
+            "budget": 100,
+            "seeds": [0],
+            "training_data": [],
+            "test_data": [{"synthetic": True}],
+        },
         tmp_path / "levels.png",
     )
     assert (tmp_path / "levels.png").stat().st_size > 5_000

@@ -23,6 +23,9 @@ def test_page_and_picture_are_made_whatever_rows_were_left(
         "study": study,
         "protocols": {"cross-run": ""},
         "rows": [row | {"label": name, "system": "concat"} for name in ("VL", "AdaFusion")],
+        "experiment": "made",
+        "budget": 100,
+        "seeds": [0],
         "training_data": [],
         "test_data": [{"synthetic": True}],
     }

@@ -170,6 +170,9 @@ def test_the_picture_is_drawn(tmp_path: Path) -> None:
             {"label": "VL", "converged": True},
             {"label": "AdaFusion", "converged": False, "why_not_ranked": "rising"},
         ],
+        "experiment": "made",
+        "budget": 100,
+        "seeds": [0],
         "training_data": [],
         "test_data": [{"synthetic": True}],
     }

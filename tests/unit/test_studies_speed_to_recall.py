@@ -60,6 +60,13 @@ def test_the_table_has_passes_and_batches_or_never_by_seed() -> None:
 
 
 def test_the_picture_is_drawn(tmp_path: Path) -> None:
-    results = {"study": study(), "training_data": [], "test_data": [{"synthetic": True}]}
+    results = {
+        "study": study(),
+        "experiment": "made",
+        "budget": 100,
+        "seeds": [0],
+        "training_data": [],
+        "test_data": [{"synthetic": True}],
+    }
     draw_speed(results, tmp_path / "speed.png")
     assert (tmp_path / "speed.png").stat().st_size > 5_000

@@ -16,13 +16,14 @@ from adafusion.experiments.studies.weighting import (
     EQUAL,
     SHARES,
     FixedShares,
+    far_from_blocks,
     shares_by_condition,
 )
 from adafusion.experiments.verdict import Asked
 from adafusion.models import ModelConfig
 from adafusion.types import Descriptions
 
-# three shares; queries 0 to 3 of one condition, 4 and 5 of another; halves of two queries each
+# three shares; queries 0 to 3 of one condition, 4 and 5 of another; two blocks, far from each other
 HITS = np.array(
     [
         [1, 1, 0, 0, 0, 0],
@@ -31,20 +32,32 @@ HITS = np.array(
     ]
 )
 CONDITION = np.array([0, 0, 0, 0, 1, 1])
-HALF = np.array([0, 0, 1, 1, 0, 1])
+BLOCK = np.array([0, 0, 1, 1, 0, 1])
 
 
-def test_a_share_is_chosen_on_the_other_half() -> None:
-    # half 0 takes share 2 of half 1 and half 1 takes share 0 of half 0: both are wrong there
-    said = shares_by_condition(HITS, 1, CONDITION, HALF)
+def test_a_share_is_chosen_where_it_is_far() -> None:
+    # block 0 takes share 2 of block 1 and block 1 takes share 0 of block 0: both are wrong there
+    is_far = np.stack([block != BLOCK for block in (0, 1)])
+    said = shares_by_condition(HITS, 1, CONDITION, BLOCK, is_far)
     assert said.tolist() == [0, 0, 0, 0, 1, 1]
 
 
-def test_without_the_other_half_and_among_equals_the_nearest_to_the_fixed_share_answers() -> None:
-    alone = np.zeros(6, np.int64)
+def test_with_nothing_far_and_among_equals_the_nearest_to_the_fixed_share_answers() -> None:
     for otherwise in range(3):
-        said = shares_by_condition(HITS, otherwise, CONDITION, alone)
+        said = shares_by_condition(HITS, otherwise, CONDITION, BLOCK, np.zeros((2, 6), np.bool_))
         assert said.tolist() == HITS[otherwise].tolist()
+
+
+def test_far_is_a_hundred_metres_from_all_of_a_block_or_another_world() -> None:
+    x = np.array([0.0, 30.0, 99.0, 131.0, 0.0])
+    asked = Asked(np.zeros(5, np.int64), np.array([0, 0, 1, 2, 3]), np.array([0, 0, 0, 0, 1]))
+    is_far = far_from_blocks(asked, np.column_stack([x, np.zeros(5)]))
+    assert is_far.astype(int).tolist() == [
+        [0, 0, 0, 1, 1],
+        [0, 0, 0, 0, 1],
+        [1, 1, 0, 0, 1],
+        [1, 1, 1, 1, 0],
+    ]
 
 
 def test_conditions_are_zones_and_kinds_of_pairs() -> None:
@@ -52,7 +65,9 @@ def test_conditions_are_zones_and_kinds_of_pairs() -> None:
     asked = Asked(split, np.zeros(5, np.int64), np.zeros(5, np.int64))
     kinds = (frozenset({"with night"}), frozenset({"none of these"}), frozenset({"with night"}))
     zone = np.array(["hall", "street", "hall", "hall", "street"])
-    night_hall, night_street, hall, *rest = Questions(asked, zone, kinds).conditions().tolist()
+    night_hall, night_street, hall, *rest = (
+        Questions(asked, np.zeros((5, 2)), zone, kinds).conditions().tolist()
+    )
     assert len({night_hall, night_street, hall}) == 3
     assert rest == [night_hall, night_street]
 

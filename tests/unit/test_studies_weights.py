@@ -216,7 +216,17 @@ def test_page_and_picture_show_what_is_there_and_say_what_is_not(tmp_path: Path)
     assert f"{row} holds |" in lines
     assert lines[-1].startswith("| both poor | about equal | | no such stretch")
     path = tmp_path / "weights.png"
-    draw_weights({"study": study, "training_data": [], "test_data": [{"synthetic": True}]}, path)
+    draw_weights(
+        {
+            "study": study,
+            "experiment": "made",
+            "budget": 100,
+            "seeds": [0],
+            "training_data": [],
+            "test_data": [{"synthetic": True}],
+        },
+        path,
+    )
     drawn = cv2.imread(str(path))
     assert drawn is not None
     assert (np.abs(drawn.astype(int) - (0, 100, 200)).max(axis=2) < 12).sum() > 1000  # thumbnails
@@ -243,7 +253,6 @@ def test_frames_of_two_worlds_share_no_run_and_no_place(tmp_path: Path) -> None:
         Trained(
             experiment=Experiment(name="", words="", rows=(), protocols=("cross-run",), seeds=()),
             rows={},
-            seeds=(),
             corpus=Corpus((world.dataset,)),
             exams=(world, world),
             questions=ask([world], "cross-run"),

@@ -29,6 +29,8 @@ from adafusion.cli import (
 )
 from adafusion.types import JobFailed, UserError
 
+INTERRUPTED = 130  # exit code after Ctrl-C
+
 app = typer.Typer(
     name="adafusion",
     help="Camera + LiDAR place recognition: one image and one point cloud in, a place out.",
@@ -71,6 +73,10 @@ def main() -> None:
     try:
         _check_launch(sys.argv[1:])
         app()
+    except SystemExit as ended:
+        if ended.code == INTERRUPTED:  # the library says nothing
+            print("adafusion: stopped by hand; see --help for how to go on", file=sys.stderr)
+        raise
     except UserError as error:
         print(f"adafusion: {error}", file=sys.stderr)
         raise SystemExit(2) from None

@@ -4,14 +4,15 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -19,6 +20,7 @@ from adafusion.cli.common import Cache, bar, cache_folder, open_data, say, split
 
 if TYPE_CHECKING:
     from adafusion.experiments import Experiment, Job, Recipe
+    from adafusion.experiments.jobs import Rows
     from adafusion.training import TrainConfig
 
 T = TypeVar("T")
@@ -26,10 +28,12 @@ T = TypeVar("T")
 LIST = "list"  # in place of a name
 LINE_EVERY_S = 60.0
 LENGTH, CHAIN = "give --budget", "its rows say what starts from what"
+SYSTEM = "its rows say what is compared"
 DECIDED = {  # keys of a training that a plan sets, and what to give in place of --set
     "seed": "give --seeds",
     **dict.fromkeys(("epochs", "passes", "batches", "branch_batches", "evaluate_every"), LENGTH),
-    **dict.fromkeys(("init", "schedule", "joint_rate"), CHAIN),
+    **dict.fromkeys(("init", "schedule", "joint_rate", "take_weights", "norms"), CHAIN),
+    **dict.fromkeys(("model.system", "stage", "cache_branches"), SYSTEM),
 }
 
 
@@ -39,7 +43,11 @@ def experiment(
         Path, typer.Option(help="Folder for results; experiments that share it share trainings.")
     ] = Path("runs/experiments"),
     world: Annotated[
-        str, typer.Option(help="Named world with the parts train and test.")
+        str,
+        typer.Option(
+            help="Named world with the parts train and test, rendered when first asked for; "
+            "world-v1-tiny is for trying things out."
+        ),
     ] = "world-v1-small",
     train: Annotated[
         list[Path] | None,
@@ -52,7 +60,8 @@ def experiment(
     budget: Annotated[
         int | None,
         typer.Option(
-            help="Frame passes through each sensor's network of every row; default: the world's.",
+            help="Frame passes through each sensor's network of every row; default: 512, 12,000 or "
+            "400,000 on world-v1-tiny, -small or world-v1, else 40 for each training frame.",
             min=1,
         ),
     ] = None,
@@ -95,6 +104,7 @@ def experiment(
 
     \b
     Example: adafusion experiment list
+    Example: adafusion experiment headline --world world-v1-tiny --budget 100 --seeds 0
     Example: adafusion experiment headline --plan
     Example: adafusion experiment headline --workers 2
     Example: adafusion experiment table-systems --rows NetVLAD,AdaFusion --budget 20000
@@ -102,6 +112,7 @@ def experiment(
     """
     from adafusion import experiments as e
     from adafusion.files import make_folder, write_json, write_text
+    from adafusion.sim.benchmarks import BENCHMARKS
     from adafusion.training.corpus import Corpus, with_camera
     from adafusion.types import UserError
 
@@ -125,6 +136,11 @@ def experiment(
     for text in changes:
         if kept := _without_effect(text, rough):
             say(f"--set {text}: set otherwise by the experiment in {', '.join(kept)}")
+    if train is None and world not in BENCHMARKS:
+        raise UserError(
+            f"--world {world}: no such world; choose from {', '.join(BENCHMARKS)}, or give --train "
+            "and --test"
+        )
     chosen = rough.seeds if seeds is None else _numbers(seeds)  # no mistake waits for a rendering
     teaches = train or [Path(world) / "train"]
     judges = test or [Path(world) / "test"]
@@ -142,7 +158,7 @@ def experiment(
     planned = e.plan_jobs(asked, chosen, corpus, out)
     jobs = e.all_jobs(planned)
     if plan:
-        print(_plan(jobs, budget))
+        print(_plan(planned, budget, len(corpus.rows("validation"))))
         return
     pages = results or out
     for folder in (out, pages):
@@ -175,6 +191,8 @@ def experiment(
         progress=bar,
     )
     files = [pages / f"{name}.json", pages / f"{name}.md"]
+    if files[0].exists() and (old := _asked(files[0])) != (new := _asked_of(found)):
+        say(f"{files[0]} is written over: it was of {old}, and is of {new}")
     write_json(files[0], found)  # before anything of it is drawn
     section: list[str] = []
     picture = ""
@@ -246,24 +264,61 @@ def _catalogue() -> str:
     return "\n".join(lines)
 
 
+def _evaluations(job: Job) -> int:
+    """How often the training looks at validation, with that before the first batch."""
+    config = job.config
+    length = config.passes if config.batches is None else config.batches
+    return 1 + -(-(length or 0) // config.evaluate_every)
+
+
+def _asked_of(results: Mapping[str, Any]) -> str:
+    """The budget, the seeds and the rows that results are of."""
+    return (
+        f"{results['budget']:,} passes, seeds {', '.join(map(str, results['seeds']))}, rows "
+        + ", ".join(row["label"] for row in results["rows"])
+    )
+
+
+def _asked(file: Path) -> str:
+    """The same of results in a file, where they can be read."""
+    try:
+        return _asked_of(json.loads(file.read_text(encoding="utf-8")))
+    except (KeyError, TypeError, ValueError):
+        return "another make"
+
+
 def _batches(job: Job) -> str:
     return "growing" if job.config.batches is None else f"{job.config.batches:,}"
 
 
-def _plan(jobs: Sequence[Job], budget: int) -> str:
-    """What would be trained, what is done, and what it costs."""
+def _plan(planned: Rows, budget: int, num_validation: int) -> str:
+    """What would be trained for which rows, what is done, and what it costs."""
+    from adafusion.experiments import all_jobs
+
+    jobs = all_jobs(planned)
+    serves = {
+        job.key: [
+            label
+            for label, of_seeds in planned.items()
+            if any(job.key == one.key for last in of_seeds for one in last.chain())
+        ]
+        for job in jobs
+    }
     wide = max(len(job.name) for job in jobs)
     left = [job for job in jobs if job.state != "done"]
+    passes = {job.key: 0 if job.config.cache_branches else job.passes for job in jobs}
     shown = [
-        f"{job.name:{wide}}  {job.passes:>10,} passes  {_batches(job):>7} batches  "
-        f"{job.state:6}  {job.key}"
+        f"{job.name:{wide}}  {passes[job.key]:>10,} passes  {_batches(job):>7} batches  "
+        f"{job.state:6}  {job.key}  for {', '.join(serves[job.key])}"
         for job in jobs
     ]
     return "\n".join(
         [
             *shown,
             f"{len(left)} of {len(jobs)} trainings to do: "
-            f"{sum(job.passes for job in left):,} of {sum(job.passes for job in jobs):,} frame "
-            f"passes, from a budget of {budget:,} frame passes a row and seed",
+            f"{sum(passes[job.key] for job in left):,} of {sum(passes.values()):,} frame "
+            f"passes, from a budget of {budget:,} frame passes a row and seed; and some "
+            f"{sum(map(_evaluations, left)) * num_validation:,} to validate, which teach nothing "
+            "and take about a third of the time each",
         ]
     )

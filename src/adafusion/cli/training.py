@@ -30,7 +30,10 @@ def train(
     ],
     model: Annotated[
         str | None,
-        typer.Option(help="A configuration that comes with the package, by name: see below."),
+        typer.Option(
+            help="A configuration that comes with the package, by name (above). Without it and "
+            "without --config: AdaFusion at full size, for a GPU."
+        ),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML; see `adafusion config show`.")] = None,
     change: Annotated[
@@ -57,8 +60,10 @@ def train(
 
     --model takes small (adafusion, staged, for two cores), paper, and each compared system at the
     size of its paper or, with -s, for two cores: netvlad-s, pointnetvlad-s, minkloc-s, coral-s,
-    pic-net-s, oertel-s. adafusion-lite-s is small with an image branch from ImageNet;
-    adafusion-normalised-s joins branches named in init, each half brought to one length.
+    pic-net-s, oertel-s. adafusion-lite-s is small with an image branch from ImageNet. Single steps
+    of small are image-s-coarse, image-s and lidar-s, one branch each, and adafusion-s, concat-s and
+    adafusion-normalised-s (halves of one length), which join branches named in init. paper-oxford
+    is paper for the benchmark's submaps.
 
     Where torchrun starts several processes they share every batch, each on a GPU of its own or all
     on a CPU, and learn what one process would. --set precision=bf16-mixed takes about half the
@@ -114,7 +119,13 @@ def train(
                 data if judges is taught else judges.prepare(settings.model.preprocess, folder, bar)
             )
         if ranks.is_first:
-            say(f"training on {len(rows)} frames, choosing on {len(judge_rows)}")
+            size = f"width {settings.model.width:g}"
+            if "image" in sensors:
+                size += ", images {} x {}".format(*settings.model.preprocess.image.size)
+            say(
+                f"training {settings.model.system} ({size}) on {len(rows)} frames, choosing on "
+                f"{len(judge_rows)}"
+            )
             save_config(settings, asked)
         card = {
             "data": taught.facts(),

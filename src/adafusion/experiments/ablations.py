@@ -187,7 +187,8 @@ def ablation_weights(recipe: Recipe, passes: int) -> Experiment:
         (
             "stage=weights",
             "cache_branches=true",
-            "augment.color=0",
+            *(f"augment.{name}=0" for name in ("color", "hue", "erase", "jitter_m", "blank")),
+            "augment.points=false",
             f"optimiser.learning_rate={FROZEN_RATE}",
         ),
     )

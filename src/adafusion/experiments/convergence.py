@@ -23,17 +23,18 @@ def why_not_ranked(
     num_answers: int,
     *,
     parts: Sequence[Sequence[float]] = (),
-    from_scratch: bool,
+    scratch: Sequence[Sequence[float]] = (),
 ) -> str:
     """`RISING`, `NEVER_BEGAN` or, where the row may be ranked, nothing.
 
     curve: validation recall@1 of the row from before the first batch on, on so many answers; parts:
     that of each training that led to it. None of them may still rise at its end: the last phase of
-    a chain is short, and says little of whether its branches had learnt all they could.
+    a chain is short, and says little of whether its branches had learnt all they could. scratch:
+    that of each training that began with weights drawn by chance. Each must have learnt something.
     """
     if any(still_rising(one, num_answers) for one in (curve, *parts)):
         return RISING
-    return NEVER_BEGAN if from_scratch and never_began(curve, num_answers) else ""
+    return NEVER_BEGAN if any(never_began(one, num_answers) for one in scratch) else ""
 
 
 def never_began(curve: Sequence[float], num_answers: int) -> bool:

@@ -11,6 +11,7 @@ finds what was trained before.
 
 from __future__ import annotations
 
+import functools
 import json
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from filelock import FileLock
+from filelock import FileLock, Timeout
 from jaxtyping import Int
 
 from adafusion.config import identity, to_plain
@@ -35,13 +36,15 @@ from adafusion.training import TrainConfig, train
 from adafusion.training.checkpoint import STATE_FILE, read_standing
 from adafusion.training.corpus import Corpus
 from adafusion.training.loop import MODEL_FILE, SELECTED_BY
-from adafusion.types import Descriptions, Progress, silent
+from adafusion.training.settings import Sampling
+from adafusion.types import Descriptions, Progress, UserError, silent
 from adafusion.workers import map_in_processes
 
 log = logging.getLogger(__name__)
 
 TRAINING_VERSION = 1  # raise it when an equal configuration comes to train to other weights
 RECORD_FILE = "training.json"
+LATEST_MINING = 4  # mining that would begin after the last batch begins after a quarter of them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,21 +92,29 @@ Rows = Mapping[str, tuple[Job, ...]]  # by label, one job a seed
 def plan_jobs(experiment: Experiment, seeds: Sequence[int], corpus: Corpus, out: Path) -> Rows:
     """Decide every training of the rows; equal ones are one, under the first one's name."""
     out = out.resolve()  # a training keeps the paths that it starts from
-    batches: dict[tuple[object, int], int] = {}
     decided: dict[str, Job] = {}
 
+    @functools.cache
+    def count_batches(sampling: Sampling, passes: int) -> int:
+        return batches_of(corpus, sampling, passes)
+
     def job(training: Training, seed: int) -> Job:
+        if training.passes < 1:
+            raise UserError(f"the budget leaves no frame pass for {training.name}: give more")
         sources = tuple(job(source, seed) for source in training.starts_from)
-        budget = (training.config.sampling, training.passes)
-        if budget not in batches:
-            batches[budget] = batches_of(corpus, *budget)
-        count = batches[budget]
-        grows = training.config.sampling.growth is not None  # into who knows how many batches
+        sampling = training.config.sampling
+        count = count_batches(sampling, training.passes)
+        if sampling.mining is not None and sampling.mining.after >= count:
+            mining = replace(sampling.mining, after=count // LATEST_MINING)
+            sampling = replace(sampling, mining=mining)
+            count = count_batches(sampling, training.passes)
+        grows = sampling.growth is not None  # into who knows how many batches
         optimiser = training.config.optimiser
         rise = min(optimiser.warmup, count // 10)  # a short training has a short rise
-        config = replace(
-            training.config,
+        config = _checked(
+            training,
             seed=seed,
+            sampling=sampling,
             passes=training.passes if grows else None,
             batches=None if grows else count,
             evaluate_every=-(-(training.passes if grows else count) // training.evaluations),
@@ -113,17 +124,26 @@ def plan_jobs(experiment: Experiment, seeds: Sequence[int], corpus: Corpus, out:
         )
         named = replace(config, init=tuple(source.key for source in sources))
         key = fingerprint(f"training {TRAINING_VERSION}", identity(named), corpus.fingerprint)
+        kept = next((out / "trainings").glob(f"*-{key}"), None)  # perhaps by another name
         planned = Job(
             name=f"{training.name}, seed {seed}",
             key=key,
             config=config,
             passes=training.passes,
             sources=sources,
-            folder=out / "trainings" / f"{training.name}-seed{seed}-{key}",
+            folder=kept or out / "trainings" / f"{training.name}-seed{seed}-{key}",
         )
         return decided.setdefault(key, planned)
 
     return {row.label: tuple(job(row.training, seed) for seed in seeds) for row in experiment.rows}
+
+
+def _checked(training: Training, **decided: Any) -> TrainConfig:
+    """The training's settings with what a plan decides; UserError where they do not fit."""
+    try:
+        return replace(training.config, **decided)
+    except ValueError as error:
+        raise UserError(f"{training.name}: {error}") from None
 
 
 def all_jobs(rows: Rows) -> list[Job]:
@@ -171,9 +191,17 @@ class _Work:
 def train_job(job: Job, corpus: Corpus, cache: Path, progress: Progress = silent) -> None:
     """Train one job to its end, from where it was; another process at the same job is awaited."""
     job.folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(job.folder / "lock"):
+    lock = FileLock(job.folder / "lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        log.warning("%s: waiting for another process that trains it", job.name)
+        lock.acquire()
+    try:
         if job.state != "done":
             _train(job, corpus, cache, progress)
+    finally:
+        lock.release()
 
 
 def _train(job: Job, corpus: Corpus, cache: Path, progress: Progress) -> None:
@@ -230,13 +258,22 @@ def row_curve(jobs: Sequence[Job]) -> list[float]:
     Of the trainings in its chain those count whose model is the row's own: a branch at another
     image size, or alone, has a recall of another kind.
     """
-    return _mean_curve([list(_same_model(last)) for last in jobs])
+    return _mean_curve(
+        [[one for one in last.chain() if one.config.model == last.config.model] for last in jobs]
+    )
 
 
-def part_curves(jobs: Sequence[Job]) -> list[list[float]]:
-    """Validation recall@1 of each training that leads to a row, the mean over its seeds."""
+def part_curves(jobs: Sequence[Job], *, scratch: bool = False) -> list[list[float]]:
+    """Validation recall@1 of each training that leads to a row, the mean over its seeds.
+
+    With `scratch` of those alone that began with weights drawn by chance.
+    """
     chains = zip(*(last.chain() for last in jobs), strict=True)
-    return [_mean_curve([[job] for job in of_seeds]) for of_seeds in chains]
+    return [
+        _mean_curve([[job] for job in of_seeds])
+        for of_seeds in chains
+        if not (scratch and (of_seeds[0].sources or of_seeds[0].config.imagenet))
+    ]
 
 
 def _mean_curve(trainings: Sequence[Sequence[Job]]) -> list[float]:
@@ -254,22 +291,15 @@ def kept_after(job: Job) -> float:
     return read_header(job.model)[1]["batches"] / job.record()["batches"]
 
 
-def starts_from_scratch(last: Job) -> bool:
-    """Whether the curve of a row begins with weights drawn by chance."""
-    return not next(_same_model(last)).sources
+def through_networks(last: Job) -> list[Job]:
+    """The trainings of a chain, without those on outputs of frozen networks, which are kept."""
+    return [one for one in last.chain() if not one.config.cache_branches]
 
 
-def _same_model(last: Job) -> Iterator[Job]:
-    return (job for job in last.chain() if job.config.model == last.config.model)
-
-
-def passes_of(job: Job, count: Callable[[Job], int]) -> dict[str, int]:
-    """A count of frame passes over a row's chain, through the network of each sensor.
-
-    What is trained on the outputs of frozen networks sends nothing through them.
-    """
-    chain = [one for one in job.chain() if not one.config.cache_branches]
+def passes_of(last: Job, count: Callable[[Job], int]) -> dict[str, int]:
+    """A count of frame passes over a row's chain, through the network of each sensor."""
+    chain = through_networks(last)
     return {
         sensor: sum(count(one) for one in chain if sensor in one.config.model.sensors)
-        for sensor in job.config.model.sensors
+        for sensor in last.config.model.sensors
     }

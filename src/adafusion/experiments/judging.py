@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int64, Shaped
+from jaxtyping import Bool, Float64, Int64, Shaped
 
 from adafusion.config import to_plain
 from adafusion.datasets import Dataset
@@ -69,6 +69,7 @@ class Questions:
     """All queries of a protocol over the test worlds, in the order in which answers are kept."""
 
     asked: Asked
+    xy_m: Float64[np.ndarray, "q 2"]  # in their worlds
     zone: Shaped[np.ndarray, " q"]  # "" where the source names none
     kinds: tuple[frozenset[str], ...]  # of each split
 
@@ -90,7 +91,9 @@ class Questions:
         return {"all pairs": groups["all pairs"], **told_apart}
 
 
-NO_QUESTIONS = Questions(Asked(*np.zeros((3, 0), np.int64)), np.zeros(0, np.str_), ())
+NO_QUESTIONS = Questions(
+    Asked(*np.zeros((3, 0), np.int64)), np.zeros((0, 2)), np.zeros(0, np.str_), ()
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +121,11 @@ def ask(worlds: Sequence[ExamData], protocol: str) -> Questions:
         zone += [test.dataset.frames[row].zone or "" for row in rows[-1]]
         kinds += [pair_kinds(one.name) for one in splits]
     block, world = blocks_and_worlds(worlds, rows)
-    return Questions(Asked(np.concatenate(split), block, world), np.array(zone), tuple(kinds))
+    xy_m = np.concatenate(
+        [test.dataset.positions_m[here, :2] for test, here in zip(worlds, rows, strict=True)]
+    )
+    asked = Asked(np.concatenate(split), block, world)
+    return Questions(asked, xy_m, np.array(zone), tuple(kinds))
 
 
 def blocks_and_worlds(

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from adafusion.experiments.convergence import NEVER_BEGAN, RISING
+from adafusion.experiments.verdict import NOT_RANKED
 from adafusion.types import Estimate
 
 
@@ -22,6 +23,7 @@ def ranking(rows: Sequence[Mapping[str, Any]], protocol: str) -> list[Mapping[st
 def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str = "") -> str:
     """Write the page; `section` is what a study says, `picture` the name of a file beside it."""
     seeds = results["seeds"]
+    judged = bool(results["protocols"])
     exploratory = " Exploratory: one seed, which decides nothing." if len(seeds) == 1 else ""
     data = [*results["training_data"], *results["test_data"]]
     synthetic = "SYNTHETIC data: " if any(one["synthetic"] for one in data) else "Data: "
@@ -44,10 +46,12 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         "",
         f"Machine: {software['platform']}, {results['machine']['processors']} processors, "
         f"{results['machine']['device']}; Python {software['python']}, torch {software['torch']}. "
-        f"Seeds {', '.join(map(str, seeds))}. From a budget of {results['budget']:,} frame passes; "
-        "what each seed of a row spent stands beside it. The trainings took "
+        f"Seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}. From a budget of "
+        f"{results['budget']:,} frame passes"
+        + ("; what each seed of a row spent, in whole batches, stands in the table" * judged)
+        + ". The trainings took "
         f"{_duration(results['training_seconds'])}, added up.",
-        *(_of_test(results) if results["protocols"] else []),
+        *(_of_test(results) if judged else []),
         *section,
     ]
     if picture:
@@ -63,16 +67,19 @@ def _of_test(results: Mapping[str, Any]) -> list[str]:
         "",
         *_table(results),
         "",
-        "Recall in percent, with 95 % intervals from a bootstrap over 50 m blocks of places"
+        "AR@N: the share of queries with a true match among the N nearest, mean over the pairs; "
+        "AR@1%: among the nearest 1 % of the database, at least 1. In percent, with 95 % intervals "
+        "from a bootstrap over 50 m blocks of places"
         + (" and over seeds" if len(seeds) > 1 else "")
         + f" ({results['draws']} draws). A row whose validation recall@1 still rose in the last "
         "quarter of its evaluations, by more than the 95 % half-width of "
         f'{results["validation_answers"]} answers, is marked "{RISING}", one from scratch whose '
         f'best is within that of its start "{NEVER_BEGAN}"; both stand below the others in no '
         "order and have no verdict. Every training of a row's chain is looked at. Rates fall to "
-        "zero, which levels a curve by itself: a row without a mark had learnt what this budget "
-        "teaches, and a larger one may still lift it. The paper's numbers are its own, on Oxford "
-        "RobotCar under several protocols: they compare with nothing here.",
+        f"zero{_but_not(results['rows'])}, which levels a curve by itself: a row without a mark "
+        "had learnt what this budget teaches, and a larger one may still lift it. The paper's "
+        "numbers are its own, on Oxford RobotCar under several protocols: they compare with "
+        "nothing here.",
         "",
         *(f"- {name}: {words}" for name, words in results["protocols"].items()),
         *_apart(results["rows"]),
@@ -80,6 +87,12 @@ def _of_test(results: Mapping[str, Any]) -> list[str]:
         *_alpha(results["rows"]),
         *_verdicts(results),
     ]
+
+
+def _but_not(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The rows whose rate does not fall to zero."""
+    others = [row["label"] for row in rows if not row["rate_falls_to_zero"]]
+    return f" (but not those of {', '.join(others)})" if others else ""
 
 
 def _duration(seconds: float) -> str:
@@ -119,7 +132,8 @@ def _table(results: Mapping[str, Any]) -> list[str]:
         )
         for p, m in measured:
             cell = in_percent(row["recall"][p][m])
-            is_best = row["converged"] and row["recall"][p][m]["value"] == best[p, m]
+            is_best = row in ranked and row["recall"][p][m]["value"] == best[p, m]
+            is_best &= len(ranked) > 1
             cells.append(f"**{cell}**" if is_best else cell)
         cells.append(", ".join(f"{100 * value:.1f}" for value in row["recall@1_by_seed"]))
         cells.append(_published(row["published_oxford_percent"]))
@@ -156,7 +170,11 @@ def _kept(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         f"{row['label']} {', '.join(f'{100 * share:.0f} %' for share in row['kept_after'])}"
         for row in rows
     )
-    return ["", f"Kept, by validation, after this share of the last training: {'; '.join(said)}."]
+    return [
+        "",
+        f"Kept, by validation, after this share of the last training: {'; '.join(said)}. At 0 % "
+        "it brought nothing, and the row is what it started from.",
+    ]
 
 
 def _alpha(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -176,6 +194,8 @@ def _verdicts(results: Mapping[str, Any]) -> list[str]:
     verdicts = results["verdicts"]
     if not verdicts:
         return []
+    if all(verdict["verdict"] == NOT_RANKED for verdict in verdicts):
+        return ["", "No verdict: of each pair at least one row is not ranked."]
     protocol = next(iter(results["protocols"]))
     lines = [
         "",

@@ -32,7 +32,7 @@ def picture(
 ) -> Iterator[Figure]:
     """A figure of so many inches to draw on, in the reports' style; written when all went well.
 
-    Says above that the data are synthetic where the results do.
+    Names experiment, budget and seeds, and says that the data are synthetic where they are.
     """
     try:
         from matplotlib import figure as drawn
@@ -46,6 +46,13 @@ def picture(
         figure = drawn.Figure((width, height), layout="constrained")
         yield figure
         if any(data["synthetic"] for data in (*results["training_data"], *results["test_data"])):
-            figure.suptitle("SYNTHETIC data")
+            figure.suptitle(f"{results['experiment']}, SYNTHETIC data")
+        seeds = results["seeds"]
+        figure.supxlabel(
+            f"{results['budget']:,} frame passes a row, seed{'s' * (len(seeds) > 1)} "
+            + ", ".join(map(str, seeds)),
+            fontsize=7.5,
+            color=plots.FAINT,
+        )
         with atomic_path(path) as temporary:
             figure.savefig(temporary, dpi=150, facecolor="white")

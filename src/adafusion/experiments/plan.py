@@ -82,12 +82,14 @@ class Experiment:
 
         UserError for a label that is none, and where the study would have nothing to look at.
         """
+        if not labels:
+            raise UserError(f"--rows: name some of {', '.join(row.label for row in self.rows)}")
         known = {row.label.lower() for row in self.rows}
         wanted = {label.lower() for label in labels}
         unknown = [label for label in labels if label.lower() not in known]
-        if unknown or not wanted:
+        if unknown:
             raise UserError(
-                f"{self.name} has no row {', '.join(unknown) or 'without a label'}: "
+                f"{self.name} has no row {', '.join(unknown)}: "
                 "choose from " + ", ".join(row.label for row in self.rows)
             )
         if self.studied and wanted.isdisjoint(label.lower() for label in self.studied):

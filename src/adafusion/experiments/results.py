@@ -26,7 +26,7 @@ from adafusion.experiments.jobs import (
     part_curves,
     passes_of,
     row_curve,
-    starts_from_scratch,
+    through_networks,
 )
 from adafusion.experiments.judging import (
     KS,
@@ -129,7 +129,6 @@ def measure(
     trained = Trained(
         experiment=experiment,
         rows=rows,
-        seeds=tuple(seeds),
         corpus=corpus,
         exams=tuple(exams),
         questions=questions[protocols[0]] if protocols else NO_QUESTIONS,
@@ -190,7 +189,7 @@ def _learnt(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
     records = {job.key: job.record() for job in jobs[0].chain()}
     curve = row_curve(jobs)
     why_not = why_not_ranked(
-        curve, num_answers, parts=part_curves(jobs), from_scratch=starts_from_scratch(jobs[0])
+        curve, num_answers, parts=part_curves(jobs), scratch=part_curves(jobs, scratch=True)
     )
     return {
         "label": row.label,
@@ -201,7 +200,12 @@ def _learnt(row: Row, jobs: Sequence[Job], num_answers: int) -> dict[str, Any]:
         "trainings": [[one.key for one in job.chain()] for job in jobs],
         "frame_passes": passes_of(jobs[0], lambda job: records[job.key]["frame_passes"]),
         "mining_passes": sum(record["mining_passes"] for record in records.values()),
-        "validation_passes": sum(record["validation_passes"] for record in records.values()),
+        "validation_passes": sum(
+            records[job.key]["validation_passes"] for job in through_networks(jobs[0])
+        ),
+        "rate_falls_to_zero": all(
+            job.config.optimiser.schedule == "cosine" for job in jobs[0].chain()
+        ),
         "converged": not why_not,
         "why_not_ranked": why_not,
         "validation_curve": curve,

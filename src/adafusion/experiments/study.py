@@ -22,7 +22,6 @@ class Trained:
 
     experiment: Experiment
     rows: Rows
-    seeds: tuple[int, ...]
     corpus: Corpus
     exams: tuple[ExamData, ...]
     questions: Questions  # of the first protocol

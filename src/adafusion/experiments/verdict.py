@@ -37,6 +37,7 @@ from adafusion.types import Estimate
 
 Word = Literal["above", "below", "undecided"]
 
+NOT_RANKED = "not ranked"  # in place of a word where a row had not converged
 DRAWS = 2000
 
 
@@ -123,7 +124,7 @@ def judge_difference(
 def plain_verdict(verdict: Verdict, *, ranked: bool) -> dict[str, Any]:
     """The verdict as values that JSON can hold; rows that had not converged get no word."""
     return {
-        "verdict": verdict.word if ranked else "not ranked",
+        "verdict": verdict.word if ranked else NOT_RANKED,
         "difference": asdict(verdict.difference),
         "by_seed": list(verdict.by_seed),
         "queries": verdict.num_queries,

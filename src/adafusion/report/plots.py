@@ -76,7 +76,7 @@ STYLE = {
 def system_colors(names: Iterable[str]) -> dict[str, str]:
     """The colour of each system; a small one (`adafusion-s`) has that of its large kin if free."""
     spare, colors = cycle(SPARE), dict[str, str]()
-    for name in names:
+    for name in dict.fromkeys(names):
         own = SYSTEMS.get(name.removesuffix("-s"))
         colors[name] = own if own and own not in colors.values() else next(spare)
     return colors

@@ -68,7 +68,8 @@ class Corpus:
         starts = np.cumsum([0, *(len(ds.frames) for ds in self.datasets)])
         world = int(np.searchsorted(starts, row, side="right")) - 1
         dataset = self.datasets[world]
-        cloud = dataset.load(dataset.frames[row - int(starts[world])]).points_body
+        frame = dataset.frames[row - int(starts[world])]
+        cloud = dataset.load(replace(frame, image=None)).points_body
         assert cloud is not None  # `rows` gives only rows that have one
         return cloud
 

@@ -23,7 +23,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from adafusion.evaluation.protocols import PROTOCOLS
-from adafusion.experiments.judging import ask
 from adafusion.experiments.page import in_percent
 from adafusion.experiments.picture import picture
 from adafusion.experiments.studies.described import WEIGHED, described_by_seed
@@ -118,7 +117,7 @@ def weight_distances(
 
 def measure_idea(trained: Trained) -> dict[str, Any]:
     """Distances of alpha under cross-run: their means, which are larger, and their quantiles."""
-    questions = ask(trained.exams, PROTOCOL)
+    questions = trained.questions
     by_seed = []
     p = trained.rows[WEIGHED][0].config.model.p
     for descriptions in described_by_seed(trained, WEIGHED):
@@ -183,7 +182,8 @@ def idea_section(study: Mapping[str, Any]) -> list[str]:
         "## Do the weights differ more for wrong matches?",
         "",
         f"Mean difference of alpha between a query and its match, in thousandths, {PROTOCOL}, "
-        f"{study['queries']} queries; 95 % intervals over 50 m blocks and seeds. True matches lie "
+        f"{study['queries']} queries; 95 % intervals over 50 m blocks, and over seeds where there "
+        "are several. True matches lie "
         f"within {study['radius_m']:g} m, wrong ones beyond, elsewhere beyond "
         f"{study['elsewhere_m']:g} m; nearest by descriptor. The share is that of queries whose "
         "wrong match differs more (50 %: no use).",

@@ -62,9 +62,9 @@ def levels_section(study: Mapping[str, Any]) -> list[str]:
         "Best validation recall@1 in percent, the mean over seeds, by budget; in brackets what it "
         "gained over the budget before. A system levels off at the least budget that no larger one "
         "exceeds by more than the 95 % half-width of its recall on "
-        f"{answers:,} answers, unless it still rose when that budget ended (^). What one training "
-        "differs from another by its seed is not in the half-width. Nothing on this page is of the "
-        "test set.",
+        f"{answers:,} answers, unless it still rose when that budget ended, or had learnt nothing "
+        "(^). What one training differs from another by its seed is not in the half-width. Nothing "
+        "on this page is of the test set.",
         "",
         "| system | " + " | ".join(f"{passes:,}" for passes in budgets) + " | levels off at |",
         "|---" * (len(budgets) + 2) + "|",

@@ -6,10 +6,10 @@ A fixed share s describes a frame by [s f_I; (1 - s) f_P]. Equal weights are s =
 share is chosen on the validation region, for each seed. Two lines are no systems, for they know
 what a robot does not. The oracle takes for each query, after the fact, whichever share answers it
 rightly: what no choice of one share for a query and all its candidates can exceed, luck included.
-The share by condition is one for each zone and kind of run pair, chosen on half of the 50 m blocks
-for the other half: about what weights can gain that know these and nothing else, without the luck.
-Its like is one share for all that is chosen in the same way. Learnt weights are each frame's own
-and are bound by none of these.
+The share by condition is one for each zone and kind of run pair, chosen for each 50 m block by the
+queries at least 100 m from it: about what weights can gain that know these and nothing else,
+without the luck. Its like is one share for all that is chosen in the same way. Learnt weights are
+each frame's own and are bound by none of these.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
+from scipy.spatial import KDTree
 
 from adafusion.evaluation import evaluate_splits
 from adafusion.evaluation.validation import region_recall
@@ -32,6 +33,7 @@ from adafusion.experiments.picture import marked, picture
 from adafusion.experiments.studies.described import at_weights
 from adafusion.experiments.study import Study, Trained
 from adafusion.experiments.verdict import (
+    Asked,
     by_seed,
     estimate_share,
     judge_difference,
@@ -42,6 +44,7 @@ from adafusion.report import plots
 
 SHARES = tuple(i / 20 for i in range(21))  # of the image; the LiDAR has the rest
 EQUAL = SHARES.index(0.5)
+FAR_M = 100.0  # shows nothing of a place: two blocks, five radii of a true match
 BEST, ORACLE = "best fixed share", "oracle"
 BY_CONDITION, FOR_ALL = "best share by condition", "best share for all, chosen alike"
 
@@ -77,10 +80,14 @@ def measure_weighting(trained: Trained) -> dict[str, Any]:
     equal = hits[:, EQUAL]
     best = np.stack([of_seed[one.best] for of_seed, one in zip(hits, fixed, strict=True)])
 
+    is_far = far_from_blocks(asked, trained.questions.xy_m[answerable])
+
     def chosen(condition: Int64[np.ndarray, " q"]) -> Int64[np.ndarray, "seed q"]:
-        pairs = zip(hits, fixed, strict=True)
-        half = asked.block % 2
-        return np.stack([shares_by_condition(h, one.best, condition, half) for h, one in pairs])
+        shares = [
+            shares_by_condition(of_seed, one.best, condition, asked.block, is_far)
+            for of_seed, one in zip(hits, fixed, strict=True)
+        ]
+        return np.stack(shares)
 
     for_all, by_condition = chosen(np.zeros_like(conditions)), chosen(conditions)
     ranked = next(iter(frozen)) in trained.converged  # all fixed shares are of these branches
@@ -144,27 +151,35 @@ def fixed_shares(job: Job, trained: Trained) -> FixedShares:
     return FixedShares(validation, np.stack([np.concatenate(of_share) for of_share in hits]))
 
 
+def far_from_blocks(asked: Asked, xy_m: Float64[np.ndarray, "q 2"]) -> Bool[np.ndarray, "block q"]:
+    """Which queries lie at least `FAR_M` from all of a block's, or in another world."""
+    is_far = np.ones((int(asked.block.max()) + 1, len(xy_m)), np.bool_)
+    for block in np.unique(asked.block):
+        here = asked.block == block
+        nearest_m, _ = KDTree(xy_m[here]).query(xy_m)
+        is_far[block] = (nearest_m >= FAR_M) | (asked.world != asked.world[here][0])
+    return is_far
+
+
 def shares_by_condition(
     hits: Int64[np.ndarray, "share q"],
     otherwise: int,
     condition: Int64[np.ndarray, " q"],
-    half: Int64[np.ndarray, " q"],
+    block: Int64[np.ndarray, " q"],
+    is_far: Bool[np.ndarray, "block q"],
 ) -> Int64[np.ndarray, " q"]:
-    """What is answered by the share that answers most queries of a condition in the other half.
+    """What is answered by the share that answers most of the far queries of the same condition.
 
-    `half` is 0 or 1. Of equal shares the one next to `otherwise` is taken, which is also the one
-    for a condition that the other half lacks.
+    Of equal shares the one next to `otherwise` is taken, which is also the one where no far query
+    has the condition.
     """
     chosen = np.empty(hits.shape[1], np.int64)
     near = -np.abs(np.arange(len(hits)) - otherwise)
     for one in np.unique(condition):
-        for side in (0, 1):
-            here, there = (
-                (condition == one) & (half == side),
-                (condition == one) & (half != side),
-            )
-            right = hits[:, there].sum(axis=1)
-            chosen[here] = np.lexsort((near, right))[-1]
+        alike = condition == one
+        for place in np.unique(block[alike]):
+            right = hits[:, alike & is_far[place]].sum(axis=1)
+            chosen[alike & (block == place)] = np.lexsort((near, right))[-1]
     return hits[chosen, np.arange(hits.shape[1])]
 
 
@@ -191,10 +206,10 @@ def weighting_section(study: Mapping[str, Any]) -> list[str]:
         f"of {len(study['shares'])} shares for each query after the fact: no system, but a bound "
         "of what a share that a query and its candidates have in common can give, luck included. "
         f"The {BY_CONDITION} is one for each zone of the query and kind of run pair (with night, "
-        "rain, ..., in opposite directions), chosen on half of the 50 m blocks for the other half: "
-        "no system either, for a frame knows nothing of the other run, but about what there is to "
-        "gain for weights that know conditions and no more. Against one share for all that is "
-        f"chosen in the same way: {_gain(study['by condition over all'])}.",
+        "rain, ..., in opposite directions), chosen for each 50 m block by the queries at least "
+        f"{FAR_M:g} m from it: no system either, for a frame knows nothing of the other run, but "
+        "about what there is to gain for weights that know conditions and no more. Against one "
+        f"share for all that is chosen in the same way: {_gain(study['by condition over all'])}.",
         "",
         "## What each row gains, and its weights",
         "",

@@ -33,7 +33,7 @@ from adafusion.experiments.studies.stretches import (
 )
 from adafusion.experiments.studies.weights_picture import draw_weights
 from adafusion.experiments.study import Study, Trained
-from adafusion.experiments.verdict import Asked, Verdict, judge_difference
+from adafusion.experiments.verdict import NOT_RANKED, Asked, Verdict, judge_difference
 from adafusion.types import SENSORS, Frame
 
 NEAR = 4  # frames before a door and behind it that are compared
@@ -167,7 +167,7 @@ def measure_weights(trained: Trained) -> dict[str, Any]:
                 "difference": asdict(verdict.difference),
                 "by_seed": list(verdict.by_seed),
                 "counted": verdict.num_queries,
-                "verdict": word if not word or WEIGHED in trained.converged else "not ranked",
+                "verdict": word if not word or WEIGHED in trained.converged else NOT_RANKED,
                 "stretch": _stretch(trained, test, *stretch, ratio),
             }
         claims.append(line)
@@ -214,7 +214,8 @@ def weights_section(study: Mapping[str, Any]) -> list[str]:
         "",
         f"Alpha of {WEIGHED} over its mean of the {study['frames']} test frames, in percent: the "
         f"step at a door (mean of the first {NEAR} frames behind it minus that of the last {NEAR} "
-        "before), or image minus LiDAR inside. 95 % intervals over 50 m blocks and seeds. "
+        "before), or image minus LiDAR inside. 95 % intervals over 50 m blocks, and over seeds "
+        "where there are several. "
         f"Rises, falls, leads: the interval leaves 0 out; about equal: it lies within "
         f"{100 * EQUAL:g} of 0. Over all frames both means are 100, so indoor and outdoor are "
         "nearly one claim. A rise from dark to bright speaks of light only where what light adds "

@@ -44,8 +44,7 @@ def draw_weights(results: Mapping[str, Any], path: Path) -> None:
             axes.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
         if shown:
             shown[-1].set_xlabel("frame of the stretch")
-            lines = shown[0].get_legend_handles_labels()
-            figure.legend(*lines, loc="outside lower left", ncols=2)
+            shown[0].legend(loc="upper right", ncols=2)
 
 
 def _title(claim: Mapping[str, Any]) -> str:
@@ -53,7 +52,8 @@ def _title(claim: Mapping[str, Any]) -> str:
     if claim["stretch"] is None:
         return f"{name}: no such stretch in these data"
     found = in_percent(claim["difference"], "+")
-    return f"{name}: {claim['words']}\nwhole test set, % of the mean: {found}, {claim['verdict']}"
+    over_all = f"whole test set, % of the mean: {found}, {claim['verdict']}"
+    return f"{name}, the claim: {claim['words']}\n{over_all}"
 
 
 def _trace(axes: Any, stretch: Mapping[str, Any]) -> None:
