@@ -387,3 +387,21 @@ def test_a_training_that_lies_there_by_another_name_is_not_done_again(branch) ->
     other = job.folder.with_name(f"another-seed0-{job.key}")
     other.mkdir(parents=True)
     assert branch("out").folder == other
+
+
+def test_test_data_of_another_camera_are_refused_before_anything_is_trained(
+    type_in, tiny_world: Dataset, tiny_words: list[str], tmp_path: Path
+) -> None:
+    folder = tmp_path / "moved"
+    shutil.copytree(tiny_world.root, folder)
+    path = folder / "dataset.yaml"
+    info = yaml.safe_load(path.read_text())
+    for calibration in [info["calibration"], *info["calibration"].values()]:
+        if isinstance(calibration, dict) and "K" in calibration:
+            calibration["K"][0][0] *= 1.2
+    path.write_text(yaml.safe_dump(info))
+    words = ["--train", tiny_world.root, "--test", folder, "--out", tmp_path / "out", *tiny_words]
+    said = type_in("experiment", "table-systems", *words, "--rows", "CORAL", "--budget", 100)
+    assert said.code == 2
+    assert f"the cameras of {tiny_world.root} and {folder} differ" in said.err
+    assert not (tmp_path / "out" / "trainings").exists()

@@ -248,7 +248,7 @@ def test_runs_that_hardly_differ_have_one_camera() -> None:
     ],
 )
 def test_runs_of_different_cameras_are_refused(other: dict[str, Any], said: str) -> None:
-    with pytest.raises(UserError, match=f"runs a and b differ, {said}.*one camera alone"):
+    with pytest.raises(UserError, match=f"run a and run b differ, {said}.*one camera alone"):
         rig_camera({"a": CALIBRATION, "b": other}, SIZE)
 
 

@@ -152,7 +152,7 @@ def experiment(
         budget = known or e.PASSES_A_FRAME * frames
 
     def recipe(training: str) -> TrainConfig:
-        return with_camera(packaged(training), corpus.datasets[0])
+        return with_camera(packaged(training), corpus.datasets)
 
     asked = build(recipe, budget)
     planned = e.plan_jobs(asked, chosen, corpus, out)
@@ -166,7 +166,9 @@ def experiment(
     exams: tuple[e.ExamData, ...] = ()
     if asked.protocols:  # else nothing of the test set is looked at
         exams = tuple(e.ExamData.of(open_data(path, cache)) for path in judges)
-    for exam in exams:
+    for exam in exams:  # what they lack is told now
+        for row in rough.rows:
+            with_camera(row.training.config, [corpus.datasets[0], exam.dataset])
         for protocol in asked.protocols:
             exam.splits(protocol)
     progress = bar if workers == 1 else lines

@@ -100,7 +100,7 @@ def train(
                 )
             folder = cache_folder(cache)
             taught = Corpus(tuple(open_data(path, folder) for path in datasets))
-            settings = with_camera(settings, taught.datasets[0])
+            settings = with_camera(settings, taught.datasets)
             for dataset in taught.datasets:
                 check_unit(dataset, settings.model, "this configuration")
             if asked.exists():

@@ -73,9 +73,10 @@ def _of_test(results: Mapping[str, Any]) -> list[str]:
         + (" and over seeds" if len(seeds) > 1 else "")
         + f" ({results['draws']} draws). A row whose validation recall@1 still rose in the last "
         "quarter of its evaluations, by more than the 95 % half-width of "
-        f'{results["validation_answers"]} answers, is marked "{RISING}", one from scratch whose '
-        f'best is within that of its start "{NEVER_BEGAN}"; both stand below the others in no '
-        "order and have no verdict. Every training of a row's chain is looked at. Rates fall to "
+        f'{results["validation_answers"]} answers, is marked "{RISING}", one with a training from '
+        f'scratch whose best is within that of its start "{NEVER_BEGAN}"; both stand below the '
+        "others in no order and have no verdict. Every training of a row's chain is looked at. "
+        "Rates fall to "
         f"zero{_but_not(results['rows'])}, which levels a curve by itself: a row without a mark "
         "had learnt what this budget teaches, and a larger one may still lift it. The paper's "
         "numbers are its own, on Oxford RobotCar under several protocols: they compare with "

@@ -140,15 +140,23 @@ def rig_camera(calibration: Mapping[str, Any], image_size: tuple[int, int]) -> R
     centimetre: a model carries one camera, and would look for its cells in the wrong places.
     """
     runs = {run: of for run, of in calibration.items() if isinstance(of, Mapping)}
-    cameras = {run: _camera(of, image_size, run) for run, of in (runs or {"": calibration}).items()}
+    of_runs = (runs or {"": calibration}).items()
+    return one_camera({f"run {run}": _camera(of, image_size, run) for run, of in of_runs})
+
+
+def one_camera(cameras: Mapping[str, RigCamera]) -> RigCamera:
+    """The camera that all of them are, by whose they are.
+
+    UserError where two differ by more than a pixel or a centimetre.
+    """
     first, camera = next(iter(cameras.items()))
-    for run, other in cameras.items():
+    for name, other in cameras.items():
         pixels, metres = _difference(camera, other)
         if pixels > SAME_PX or metres > SAME_M:
             raise UserError(
-                f"the cameras of runs {first} and {run} differ, by {pixels:.1f} pixels and "
-                f"{100 * metres:.1f} cm: make a dataset of the runs of one camera alone, or say "
-                "which camera to go by in model.preprocess.elevation.camera"
+                f"the cameras of {first} and {name} differ, by {pixels:.1f} pixels and "
+                f"{100 * metres:.1f} cm: take the data of one camera alone, or say which camera to "
+                "go by in model.preprocess.elevation.camera"
             )
     return camera
 

@@ -17,7 +17,7 @@ from adafusion.datasets.splits import region_of
 from adafusion.files import fingerprint
 from adafusion.preprocess import Preprocess
 from adafusion.preprocess.cache import PreparedFrames, PreparedSet, prepare_cache
-from adafusion.preprocess.elevation import rig_camera
+from adafusion.preprocess.elevation import RigCamera, one_camera, rig_camera
 from adafusion.training.settings import TrainConfig
 from adafusion.types import SENSORS, Progress, UserError, lacking, silent
 
@@ -96,20 +96,15 @@ class Corpus:
         )
 
 
-def with_camera(settings: TrainConfig, dataset: Dataset) -> TrainConfig:
-    """Settings whose elevation map, where there is one, knows the camera of the dataset's rig."""
+def with_camera(settings: TrainConfig, datasets: Sequence[Dataset]) -> TrainConfig:
+    """Settings whose elevation map, where there is one, knows the camera of the datasets' rig.
+
+    UserError where they have different ones, or no image.
+    """
     preprocess = settings.model.preprocess
     if preprocess.lidar != "elevation" or preprocess.elevation.camera is not None:
         return settings
-    seen = next((frame for frame in dataset.frames if frame.image is not None), None)
-    if seen is None:
-        raise UserError(
-            f"{dataset.root}: {settings.model.system} looks for the map's cells in images"
-        )
-    image = dataset.load(seen).image
-    assert image is not None
-    height, width = image.shape[:2]
-    camera = rig_camera(dataset.info.calibration, (height, width))
+    camera = one_camera({str(one.root): _camera(one, settings.model.system) for one in datasets})
     return replace(
         settings,
         model=replace(
@@ -117,3 +112,13 @@ def with_camera(settings: TrainConfig, dataset: Dataset) -> TrainConfig:
             preprocess=replace(preprocess, elevation=replace(preprocess.elevation, camera=camera)),
         ),
     )
+
+
+def _camera(dataset: Dataset, system: str) -> RigCamera:
+    seen = next((frame for frame in dataset.frames if frame.image is not None), None)
+    if seen is None:
+        raise UserError(f"{dataset.root}: {system} looks for the map's cells in images")
+    image = dataset.load(replace(seen, cloud=None)).image
+    assert image is not None
+    height, width = image.shape[:2]
+    return rig_camera(dataset.info.calibration, (height, width))
