@@ -15,9 +15,12 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from adafusion.cli.common import named_config
+from adafusion.config import change_config, load_config
 from adafusion.datasets import Dataset
 from adafusion.mapping import PlaceMap
 from adafusion.models import AdaFusion, ModelConfig, load_model, save_model
+from adafusion.training import TrainConfig
 
 COMMANDS = [
     ["demo"],
@@ -127,6 +130,16 @@ def test_evaluate_writes_a_result_that_can_be_repeated(
     page = (tmp_path / "a" / "report.html").read_text()
     assert "SYNTHETIC" in page.upper()
     assert not (tmp_path / "b" / "report.html").exists()
+
+
+def test_a_packaged_training_is_shown_by_its_name_as_it_would_be_trained(
+    type_in, tmp_path: Path
+) -> None:
+    shown = tmp_path / "lidar.yaml"
+    shown.write_text(type_in("config", "show", "lidar-s", "seed=4").out)
+    assert load_config(TrainConfig, shown) == change_config(
+        load_config(TrainConfig, named_config("lidar-s")), ("seed=4",)
+    )
 
 
 def test_train_writes_a_model_that_the_other_commands_take(

@@ -83,11 +83,16 @@ def open_data(path: Path, cache: Path | None = None) -> Dataset:
     return open_benchmark(name, cache_folder(cache), workers=WORKERS, progress=bar)
 
 
-def named_config(name: str) -> Path:
-    """File of a training's configuration that comes with the package; UserError lists them."""
+def packaged_configs() -> dict[str, Path]:
+    """Files of the trainings that come with the package, by name."""
     from adafusion.config import configs_folder
 
-    files = {path.stem: path for path in sorted(configs_folder().glob("*.yaml"))}
+    return {path.stem: path for path in sorted(configs_folder().glob("*.yaml"))}
+
+
+def named_config(name: str) -> Path:
+    """File of a training that comes with the package; UserError lists them."""
+    files = packaged_configs()
     if name not in files:
         raise UserError(f"no configuration {name!r}: choose from {', '.join(files)}")
     return files[name]

@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from adafusion.cli.common import packaged_configs
+
 config_app = typer.Typer(
     help="Configurations: what every key is and what it is set to.", no_args_is_help=True
 )
@@ -38,7 +40,11 @@ def import_released(
 @config_app.command("show")
 def show(
     what: Annotated[
-        str, typer.Argument(help="train, model, preprocess, or a preset of the world: day, night.")
+        str,
+        typer.Argument(
+            help="train, model, preprocess, a training that comes with the package (lidar-s), or a "
+            "preset of the world: day, night."
+        ),
     ] = "train",
     overrides: Annotated[
         list[str] | None, typer.Argument(help="Changes, as loss.margin=12.5.")
@@ -49,6 +55,7 @@ def show(
 
     \b
     Example: adafusion config show train --config configs/paper.yaml seed=3 > mine.yaml
+    Example: adafusion config show netvlad-s sampling.tuples=2 > mine.yaml
     Example: adafusion config show night fog_per_m=0.02
     """
     from adafusion.config import change_config, dump_config, load_config
@@ -64,7 +71,10 @@ def show(
         print(dump_config(change_config(PRESETS[what], overrides or [])), end="")
         return
     kinds: dict[str, type] = {"train": TrainConfig, "model": ModelConfig, "preprocess": Preprocess}
+    trainings = packaged_configs()
+    if what in trainings and config is None:
+        what, config = "train", trainings[what]
     if what not in kinds:
-        choices = ", ".join([*kinds, *PRESETS])
+        choices = ", ".join([*kinds, *trainings, *PRESETS])
         raise UserError(f"unknown configuration {what!r}: choose from {choices}")
     print(dump_config(load_config(kinds[what], config, overrides or [])), end="")
