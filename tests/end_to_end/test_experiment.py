@@ -97,6 +97,11 @@ def test_the_headline_and_again_and_another_experiment_from_the_same_trainings(
     assert again == {label: row["recall"]["cross-run"]["AR@1"] for label, row in rows.items()}
     said = type_in("experiment", "headline", *words, "--plan")
     assert "0 of 12 trainings to do: 0 of " in said.out
+    words[-1] = "L"
+    said = type_in("experiment", "headline", *words)
+    file = tmp_path / "headline.json"
+    was, now = (f"{BUDGET} passes, seeds 0, 1, rows {rows}" for rows in ("L, VL, AdaFusion", "L"))
+    assert f"{file} is written over: it was of {was}, and is of {now}" in said.err
 
 
 @pytest.mark.slow
@@ -405,3 +410,10 @@ def test_test_data_of_another_camera_are_refused_before_anything_is_trained(
     assert said.code == 2
     assert f"the cameras of {tiny_world.root} and {folder} differ" in said.err
     assert not (tmp_path / "out" / "trainings").exists()
+
+
+def test_a_world_that_is_none_is_answered_with_those_there_are(type_in) -> None:
+    for words in (["--world", "world-v1-tny"], ["--world", "world-v1-tiny/train", "--plan"]):
+        said = type_in("experiment", "headline", *words)
+        assert said.code == 2
+        assert "no such world; choose from world-v1-tiny, world-v1-small, world-v1" in said.err

@@ -111,7 +111,7 @@ def experiment(
     Example: adafusion experiment headline --train data/nclt --test data/nclt --out runs/nclt
     """
     from adafusion import experiments as e
-    from adafusion.files import make_folder, write_json, write_text
+    from adafusion.files import make_folder
     from adafusion.sim.benchmarks import BENCHMARKS
     from adafusion.training.corpus import Corpus, with_camera
     from adafusion.types import UserError
@@ -136,7 +136,7 @@ def experiment(
     for text in changes:
         if kept := _without_effect(text, rough):
             say(f"--set {text}: set otherwise by the experiment in {', '.join(kept)}")
-    if train is None and world not in BENCHMARKS:
+    if train is None and world not in BENCHMARKS and not Path(world).is_dir():
         raise UserError(
             f"--world {world}: no such world; choose from {', '.join(BENCHMARKS)}, or give --train "
             "and --test"
@@ -192,22 +192,32 @@ def experiment(
         command=shlex.join(["adafusion", *sys.argv[1:]]),
         progress=bar,
     )
-    files = [pages / f"{name}.json", pages / f"{name}.md"]
-    if files[0].exists() and (old := _asked(files[0])) != (new := _asked_of(found)):
-        say(f"{files[0]} is written over: it was of {old}, and is of {new}")
-    write_json(files[0], found)  # before anything of it is drawn
-    section: list[str] = []
-    picture = ""
-    if asked.study is not None:
-        section = asked.study.section(found["study"])
-        if asked.study.draw is not None:
-            picture = f"{name}.png"
-            asked.study.draw(found, pages / picture)
-            files.append(pages / picture)
-    text = e.page(found, section, picture)
-    write_text(files[1], text)
+    text, files = _write(asked, found, pages)
     print(text)
     print("\n".join(map(str, files)))
+
+
+def _write(
+    experiment: Experiment, found: Mapping[str, Any], folder: Path
+) -> tuple[str, list[Path]]:
+    """Write the results, the figure and the page; the page's text and all files."""
+    from adafusion.experiments import page
+    from adafusion.files import write_json, write_text
+
+    file, sheet, drawn = (folder / f"{experiment.name}.{end}" for end in ("json", "md", "png"))
+    if file.exists() and (old := _asked(file)) != (new := _asked_of(found)):
+        say(f"{file} is written over: it was of {old}, and is of {new}")
+    write_json(file, found)  # before anything of it is drawn
+    files = [file, sheet]
+    section: list[str] = []
+    if (study := experiment.study) is not None:
+        section = study.section(found["study"])
+        if study.draw is not None:
+            study.draw(found, drawn)
+            files.append(drawn)
+    text = page(found, section, drawn.name if drawn in files else "")
+    write_text(sheet, text)
+    return text, files
 
 
 def lines(items: Iterable[T], *, total: int | None = None, desc: str = "") -> Iterable[T]:
