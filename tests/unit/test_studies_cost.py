@@ -39,9 +39,12 @@ def test_the_table_has_the_ratio_and_the_picture_a_mark_a_row(tmp_path: Path) ->
             "parameters": 1_000_000,
             "converged": system == "concat",
             "why_not_ranked": "" if system == "concat" else "not converged",
-            "recall": {"cross-run": {"AR@1": {"value": 0.5, "interval": None}}},
+            "recall": {"cross-run": {"AR@1": {"value": 0.5, "interval": interval}}},
         }
-        for label, system in (("VL D-128", "concat"), ("AdaFusion D-128", "adafusion"))
+        for label, system, interval in (
+            ("VL D-128", "concat", None),
+            ("AdaFusion D-128", "adafusion", [0.4, 0.7]),
+        )
     ]
     results = {
         "rows": rows,

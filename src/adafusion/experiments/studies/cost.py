@@ -73,7 +73,7 @@ def cost_section(study: Mapping[str, Any]) -> list[str]:
 
 
 def draw_cost(results: Mapping[str, Any], path: Path) -> None:
-    """Recall@1 against parameters and against time, a mark a row, joined along each system."""
+    """Recall@1 with its interval over parameters and time, a mark a row, joined by system."""
     protocol = next(iter(results["protocols"]))
     colors = plots.system_colors(row["system"] for row in results["rows"])
     with picture(path, results, 3.6) as figure:
@@ -88,6 +88,9 @@ def draw_cost(results: Mapping[str, Any], path: Path) -> None:
                 for row, *at in zip(rows, x, recall, strict=True):
                     inside = color if row["converged"] else "white"
                     axes.plot(*at, "o", color=color, markerfacecolor=inside)
+                    if ends := row["recall"][protocol]["AR@1"]["interval"]:
+                        between = [100 * end for end in ends]
+                        axes.plot([at[0]] * 2, between, color=color, linewidth=1.0, alpha=0.6)
                     length = row["label"].split(" ")[-1]
                     axes.annotate(
                         length, at, xytext=(6, -11), textcoords="offset points", fontsize=8
