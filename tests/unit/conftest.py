@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The adafusion authors
 # SPDX-License-Identifier: Apache-2.0
-"""What several tests of the synthetic world share."""
+"""What several tests of the synthetic world, and of studies, share."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,18 @@ from adafusion.sim.sensing.scene import Scene, build_scene, build_static
 from adafusion.sim.town.plan import Hills, WorldSpec, Zone
 from adafusion.sim.town.shapes import LIT, Material, Soup, SoupBuilder, rectangle
 from adafusion.sim.town.world import World
+
+
+@pytest.fixture
+def heading() -> dict[str, Any]:
+    """What every picture of an experiment says of its results."""
+    return {
+        "experiment": "made",
+        "budget": 100,
+        "seeds": [0],
+        "training_data": [],
+        "test_data": [{"synthetic": True}],
+    }
 
 
 @pytest.fixture

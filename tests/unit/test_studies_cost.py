@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from adafusion.experiments.studies.cost import cost_section, draw_cost, time_in_turns
 from adafusion.models import ModelConfig, build_system
@@ -26,7 +27,9 @@ def test_a_larger_model_takes_longer_and_each_is_timed_by_its_own_sensors() -> N
     assert 0 < ms[0] < ms[1]
 
 
-def test_the_table_has_the_ratio_and_the_picture_a_mark_a_row(tmp_path: Path) -> None:
+def test_the_table_has_the_ratio_and_the_picture_a_mark_a_row(
+    tmp_path: Path, heading: dict[str, Any]
+) -> None:
     study = {"ms": {"VL D-128": 10.0, "AdaFusion D-128": 15.0}, "threads": 2, "rounds": 3}
     lines = cost_section(study)
     assert "| VL D-128 | 10.0 | 1.00 |" in lines
@@ -50,11 +53,7 @@ def test_the_table_has_the_ratio_and_the_picture_a_mark_a_row(tmp_path: Path) ->
         "rows": rows,
         "study": study,
         "protocols": {"cross-run": ""},
-        "experiment": "made",
-        "budget": 100,
-        "seeds": [0],
-        "training_data": [],
-        "test_data": [{"synthetic": True}],
+        **heading,
     }
     draw_cost(results, tmp_path / "cost.png")
     assert (tmp_path / "cost.png").stat().st_size > 5_000

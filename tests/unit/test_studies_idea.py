@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -185,7 +186,9 @@ def test_places_that_all_lie_near_are_refused(
         measure_idea(replace(given, exams=(near,)))
 
 
-def test_page_and_picture_say_all_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_and_picture_say_all_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, heading: dict[str, Any]
+) -> None:
     rng = np.random.default_rng(0)
     study = measure_idea(
         trained(tmp_path, monkeypatch, [rng.random((2 * PLACES, 2)) for _ in range(2)])
@@ -197,11 +200,7 @@ def test_page_and_picture_say_all_of_it(tmp_path: Path, monkeypatch: pytest.Monk
     draw_idea(
         {
             "study": study,
-            "experiment": "made",
-            "budget": 100,
-            "seeds": [0],
-            "training_data": [],
-            "test_data": [{"synthetic": True}],
+            **heading,
         },
         path,
     )

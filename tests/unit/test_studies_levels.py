@@ -57,15 +57,11 @@ def test_the_table_says_what_each_doubling_brought() -> None:
     assert "| L | 45.0 | 50.0 (+5.0) | 51.0 (+1.0) | 2,000 |" in lines
 
 
-def test_the_picture_is_drawn(tmp_path: Path) -> None:
+def test_the_picture_is_drawn(tmp_path: Path, heading: dict[str, Any]) -> None:
     draw_levels(
         {
             "study": STUDY,
-            "experiment": "made",
-            "budget": 100,
-            "seeds": [0],
-            "training_data": [],
-            "test_data": [{"synthetic": True}],
+            **heading,
         },
         tmp_path / "levels.png",
     )

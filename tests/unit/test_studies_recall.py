@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,7 @@ from adafusion.experiments.studies.recall import draw_recall, gains_section
 
 @pytest.mark.parametrize("others", [(), ("VL",)])
 def test_page_and_picture_are_made_whatever_rows_were_left(
-    tmp_path: Path, others: tuple[str, ...]
+    tmp_path: Path, others: tuple[str, ...], heading: dict[str, Any]
 ) -> None:
     recall = {f"AR@{n}": {"value": 0.5, "interval": [0.4, 0.6]} for n in range(1, 26)}
     row = {"converged": True, "why_not_ranked": "", "recall": {"cross-run": recall}}
@@ -23,11 +24,7 @@ def test_page_and_picture_are_made_whatever_rows_were_left(
         "study": study,
         "protocols": {"cross-run": ""},
         "rows": [row | {"label": name, "system": "concat"} for name in ("VL", "AdaFusion")],
-        "experiment": "made",
-        "budget": 100,
-        "seeds": [0],
-        "training_data": [],
-        "test_data": [{"synthetic": True}],
+        **heading,
     }
     assert sum(line.startswith("| VL |") for line in gains_section(study)) == len(others)
     draw_recall(results, tmp_path / "recall.png")

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -163,18 +164,14 @@ def test_the_section_has_a_line_a_row_and_gaps_where_there_are_no_weights() -> N
         assert head.count("|") == rule.count("|")
 
 
-def test_the_picture_is_drawn(tmp_path: Path) -> None:
+def test_the_picture_is_drawn(tmp_path: Path, heading: dict[str, Any]) -> None:
     results = {
         "study": study(),
         "rows": [
             {"label": "VL", "converged": True},
             {"label": "AdaFusion", "converged": False, "why_not_ranked": "rising"},
         ],
-        "experiment": "made",
-        "budget": 100,
-        "seeds": [0],
-        "training_data": [],
-        "test_data": [{"synthetic": True}],
+        **heading,
     }
     assert REMEDIED.draw is not None
     REMEDIED.draw(results, tmp_path / "remedies.png")

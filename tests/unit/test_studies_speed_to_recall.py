@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from adafusion.experiments.studies.speed_to_recall import (
     LEVELS,
@@ -59,14 +60,10 @@ def test_the_table_has_passes_and_batches_or_never_by_seed() -> None:
     assert any("every 244 passes" in line for line in lines)
 
 
-def test_the_picture_is_drawn(tmp_path: Path) -> None:
+def test_the_picture_is_drawn(tmp_path: Path, heading: dict[str, Any]) -> None:
     results = {
         "study": study(),
-        "experiment": "made",
-        "budget": 100,
-        "seeds": [0],
-        "training_data": [],
-        "test_data": [{"synthetic": True}],
+        **heading,
     }
     draw_speed(results, tmp_path / "speed.png")
     assert (tmp_path / "speed.png").stat().st_size > 5_000

@@ -8,6 +8,7 @@ import base64
 import inspect
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -194,7 +195,9 @@ def test_outdoors_is_a_zone_that_is_known() -> None:
     assert [is_outdoors(frame) for frame in frames] == [True, False, False]
 
 
-def test_page_and_picture_show_what_is_there_and_say_what_is_not(tmp_path: Path) -> None:
+def test_page_and_picture_show_what_is_there_and_say_what_is_not(
+    tmp_path: Path, heading: dict[str, Any]
+) -> None:
     image = np.full((30, 40, 3), (200, 100, 0), np.uint8)
     stretch = {
         "frames": [f"day/{k}" for k in range(6)],
@@ -219,11 +222,7 @@ def test_page_and_picture_show_what_is_there_and_say_what_is_not(tmp_path: Path)
     draw_weights(
         {
             "study": study,
-            "experiment": "made",
-            "budget": 100,
-            "seeds": [0],
-            "training_data": [],
-            "test_data": [{"synthetic": True}],
+            **heading,
         },
         path,
     )

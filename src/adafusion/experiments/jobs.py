@@ -193,15 +193,13 @@ def train_job(job: Job, corpus: Corpus, cache: Path, progress: Progress = silent
     job.folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(job.folder / "lock")
     try:
-        lock.acquire(timeout=0)
+        held = lock.acquire(timeout=0)
     except Timeout:
         log.warning("%s: waiting for another process that trains it", job.name)
-        lock.acquire()
-    try:
+        held = lock.acquire()
+    with held:
         if job.state != "done":
             _train(job, corpus, cache, progress)
-    finally:
-        lock.release()
 
 
 def _train(job: Job, corpus: Corpus, cache: Path, progress: Progress) -> None:

@@ -25,8 +25,7 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
     seeds = results["seeds"]
     judged = bool(results["protocols"])
     exploratory = " Exploratory: one seed, which decides nothing." if len(seeds) == 1 else ""
-    data = [*results["training_data"], *results["test_data"]]
-    synthetic = "SYNTHETIC data: " if any(one["synthetic"] for one in data) else "Data: "
+    synthetic = "SYNTHETIC data: " if is_synthetic(results) else "Data: "
     software = results["software"]
     lines = [
         f"# {results['experiment']}, {results['date']}",
@@ -46,7 +45,7 @@ def page(results: Mapping[str, Any], section: Sequence[str] = (), picture: str =
         "",
         f"Machine: {software['platform']}, {results['machine']['processors']} processors, "
         f"{results['machine']['device']}; Python {software['python']}, torch {software['torch']}. "
-        f"Seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}. From a budget of "
+        f"{in_words(seeds).capitalize()}. From a budget of "
         f"{results['budget']:,} frame passes"
         + ("; what each seed of a row spent, in whole batches, stands in the table" * judged)
         + ". The trainings took "
@@ -220,6 +219,16 @@ def _verdicts(results: Mapping[str, Any]) -> list[str]:
             cells = [f"{in_percent(v['difference'], '+')} {v['verdict']}" for v in row]
             lines.append(f"| {group} | {row[0]['queries']} | " + " | ".join(cells) + " |")
     return lines
+
+
+def is_synthetic(results: Mapping[str, Any]) -> bool:
+    """Whether any of the data that taught or judged are."""
+    return any(data["synthetic"] for data in (*results["training_data"], *results["test_data"]))
+
+
+def in_words(seeds: Sequence[int]) -> str:
+    """ "seed 0" or "seeds 0, 1"."""
+    return f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
 
 
 def in_percent(estimate: Mapping[str, Any], sign: str = "") -> str:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from adafusion.experiments.page import in_words, is_synthetic
 from adafusion.files import atomic_path
 from adafusion.report import plots
 
@@ -45,12 +46,10 @@ def picture(
     with context(["default", plots.STYLE]):
         figure = drawn.Figure((width, height), layout="constrained")
         yield figure
-        if any(data["synthetic"] for data in (*results["training_data"], *results["test_data"])):
+        if is_synthetic(results):
             figure.suptitle(f"{results['experiment']}, SYNTHETIC data")
-        seeds = results["seeds"]
         figure.supxlabel(
-            f"{results['budget']:,} frame passes a row, seed{'s' * (len(seeds) > 1)} "
-            + ", ".join(map(str, seeds)),
+            f"{results['budget']:,} frame passes a row, {in_words(results['seeds'])}",
             fontsize=7.5,
             color=plots.FAINT,
         )
